@@ -1,0 +1,63 @@
+/* A dataset: which cameras, which target, which images, in a folder with dataset.yaml and frames.csv.
+ *
+ *   dataset.yaml                                          frames.csv
+ *     name: opencv-stereo                                   frame,left,right
+ *     root: ${TELEDIMOS_DATA}/set    # folder of images,    01,left01.jpg,right01.jpg
+ *                                    # default: this one    02,left02.jpg,
+ *     target: {kind: chessboard, columns: 9, rows: 6, spacing_m: 0.025}
+ *     cameras:
+ *       - {name: left, model: brown5}
+ *       - {name: right, model: brown5}
+ *     expect: {baseline_m: 0.083, tolerance_m: 0.002}     # optional: what a tape measure says
+ *
+ * frames.csv: a header; `frame` names the view (optional: else the row's number), a column for each camera (an empty
+ * cell: no image), optional `time_s`, optional `height_m` (the board, moved along its own normal to known heights
+ * while the cameras stand still: Faugeras-Toscani's target with depth). Other columns are kept out. */
+#ifndef TELEDIMOS_CORE_DATASET_H
+#define TELEDIMOS_CORE_DATASET_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+#include "camera.h"
+#include "rig.h"
+#include "target.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct td_dataset_camera {
+    char name[TD_NAME_SIZE];
+    td_camera_model model;
+} td_dataset_camera;
+
+typedef struct td_dataset_frame {
+    char name[TD_NAME_SIZE];
+    double time_s;                   /* NaN: not given */
+    double height_m;                 /* NaN: the board was free */
+    char *image[TD_RIG_MAX_CAMERAS]; /* whole path of each camera's image; NULL: none */
+} td_dataset_frame;
+
+typedef struct td_dataset {
+    char name[TD_NAME_SIZE];
+    char *folder; /* where dataset.yaml lies */
+    td_target target;
+    int camera_count;
+    td_dataset_camera camera[TD_RIG_MAX_CAMERAS];
+    size_t frame_count;
+    td_dataset_frame *frame;      /* (frame_count) */
+    double expected_baseline_m;   /* NaN: not given */
+    double expected_tolerance_m;
+    char *corners;                /* path of a CSV of points found elsewhere (corners_file.h); NULL: detect */
+} td_dataset;
+
+/* Reads DATASET/dataset.yaml (or the file itself when a path to a .yaml is given) and its frames. Everything is
+ * checked, sizes and numbers bounded; images are not opened. */
+TD_API td_status td_dataset_read(td_dataset **dataset, const char *path, td_error *error);
+TD_API void td_dataset_free(td_dataset **dataset);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

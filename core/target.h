@@ -1,0 +1,60 @@
+/* Calibration targets: what is printed on the board, in metres.
+ *
+ * Target frame: origin at the first point, x along the columns, y along the rows, z into the board, so that a board
+ * facing the camera upright has the camera's axes. Point k is row k / columns, column k % columns of its plane;
+ * planes follow one another. */
+#ifndef TELEDIMOS_CORE_TARGET_H
+#define TELEDIMOS_CORE_TARGET_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+#include "pose.h"
+#include "status.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef enum td_target_kind {
+    TD_TARGET_CHESSBOARD, /* the inner corners of a chessboard */
+    TD_TARGET_MARKS,      /* circular marks on one or more planes */
+    TD_TARGET_KIND_COUNT
+} td_target_kind;
+
+typedef enum td_mark_polarity { TD_MARK_DARK, TD_MARK_LIGHT, TD_MARK_ANY } td_mark_polarity;
+
+enum { TD_TARGET_MAX_PLANES = 6, TD_TARGET_MAX_SIDE = 200 };
+
+/* One plane's grid. */
+typedef struct td_target_plane {
+    int columns, rows;         /* points: inner corners, or marks */
+    double spacing_m;          /* between neighbouring points */
+    td_pose target_from_plane; /* identity for the only plane */
+} td_target_plane;
+
+typedef struct td_target {
+    td_target_kind kind;
+    int plane_count;
+    td_target_plane plane[TD_TARGET_MAX_PLANES];
+    double diameter_m;         /* marks: of the circle; chessboard: 0 */
+    td_mark_polarity polarity; /* marks: dark on light, light on dark, or find out */
+} td_target;
+
+TD_API const char *td_target_kind_name(td_target_kind kind); /* "chessboard", "marks"; NULL if none */
+TD_API size_t td_target_point_count(const td_target *target);
+/* Point `index` in the target frame, m. */
+TD_API void td_target_point(double p[3], const td_target *target, size_t index);
+/* Which plane point `index` lies on, and the index of that plane's first point. */
+TD_API int td_target_plane_of(const td_target *target, size_t index, size_t *first);
+/* True when all points lie on one plane. */
+TD_API bool td_target_is_flat(const td_target *target);
+/* Refuses what cannot be a target, naming the field. */
+TD_API td_status td_target_check(const td_target *target, td_error *error);
+/* "chessboard 9x6, 25 mm", for people. Writes at most `size` bytes and returns `text`. */
+TD_API char *td_target_describe(char *text, size_t size, const td_target *target);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
