@@ -49,7 +49,7 @@ typedef struct td_dataset {
     td_dataset_frame *frame;      /* (frame_count) */
     double expected_baseline_m;   /* NaN: not given */
     double expected_tolerance_m;
-    char *corners;                /* path of a CSV of points found elsewhere (corners_file.h); NULL: detect */
+    char *corners;                /* path of a CSV of points found elsewhere (calib/observations.h); NULL: detect */
 } td_dataset;
 
 /* Reads DATASET/dataset.yaml (or the file itself when a path to a .yaml is given) and its frames. Everything is

@@ -1,0 +1,315 @@
+/* Fits the image of a chessboard's corner by least squares over the pixels of a disc:
+ *
+ *     grey(x) = mean + slope . x + (contrast / 2) E(d1 / w) E(d2 / w),    E(t) = erf(t / sqrt 2),
+ *
+ * d1, d2 the distances to two lines through the corner and w the blur of their edges. Levenberg-Marquardt,
+ * analytic derivatives. What the model leaves out (lines that are not at right angles, overshoot from
+ * sharpening, a curved response) is the same on both sides of the corner, and so cannot move it.
+ *
+ * The sigma is a sandwich estimate (Huber 1967; for correlated residuals Newey and West 1987): residuals of
+ * JPEG and Bayer images are neither white nor as strong in the squares as on the edges. The scores (influence
+ * of a pixel on the corner times its residual) are summed over blocks of 3x3 pixels joined with the block
+ * opposite, which cancels what is symmetric about the corner, and the sums' squares are compared with their
+ * expectation for white noise.
+ *
+ * Known failures: lines bent by distortion, of curvature k, shift the corner by up to k radius^2 / 6 (0.01 px
+ * where a wide lens bends most). */
+#include "calib/corner.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "calib/corner_internal.h"
+
+enum { N = CORNER_PARAMETERS, BLOCK = 3, BLOCK_SIDE = 2 * (CORNER_MAX_RADIUS / BLOCK + 1) + 1 };
+
+static const double FIRST_RADIUS = 6, USUAL_RADIUS = 10, LEAST_RADIUS = 3; /* px */
+static const double SQUARE_SHARE = 0.6; /* of the distance to the next edge */
+static const double LEAST_BLUR = 0.2;   /* px; a pixel's own width is 0.29 */
+static const double FIRST_STEP = 0.05, LAST_STEP = 2e-3; /* at which a fit ends, px */
+
+/* exp(-y) for 0 <= y <= 16, as the 32nd power of a short series: no branch, no table, vector code. */
+static inline float bell(float y)
+{
+    float t = y * (1.0f / 32);
+    float e = 1 - t * (1 - t * (1.0f / 2) *
+                               (1 - t * (1.0f / 3) *
+                                        (1 - t * (1.0f / 4) * (1 - t * (1.0f / 5) * (1 - t * (1.0f / 6))))));
+    e *= e, e *= e, e *= e, e *= e;
+    return e * e;
+}
+
+/* erf(z), and in *bell_z exp(-z^2); Abramowitz and Stegun 7.1.26, error below 2e-7. */
+static inline float edge(float z, float *bell_z)
+{
+    float a = fabsf(z);
+    a = 0.5f * (a + 4 - fabsf(a - 4)); /* the lesser of a and 4, without a branch */
+    float e = bell(a * a);
+    float t = 1 / (1 + 0.3275911f * a);
+    float p =
+        ((((1.061405429f * t - 1.453152027f) * t + 1.421413741f) * t - 0.284496736f) * t + 0.254829592f) * t;
+    *bell_z = e;
+    return copysignf(1 - p * e, z);
+}
+
+void td_corner_model(corner_window *window, const double parameter[N])
+{
+    const float u = (float)parameter[CORNER_X], v = (float)parameter[CORNER_Y];
+    const float c1 = (float)cos(parameter[CORNER_ANGLE_1]), s1 = (float)sin(parameter[CORNER_ANGLE_1]);
+    const float c2 = (float)cos(parameter[CORNER_ANGLE_2]), s2 = (float)sin(parameter[CORNER_ANGLE_2]);
+    const float w = (float)parameter[CORNER_BLUR], mean = (float)parameter[CORNER_MEAN];
+    const float half = (float)parameter[CORNER_HALF];
+    const float gx = (float)parameter[CORNER_SLOPE_X], gy = (float)parameter[CORNER_SLOPE_Y];
+    const float to_z = 0.70710678f / w,
+                slope = 0.79788456f / w * half; /* 1 / (w sqrt 2); half sqrt(2 / pi) / w */
+    float(*d)[CORNER_MAX_PIXELS] = window->derivative;
+    for (int i = 0; i < window->count; i++) {
+        float x = window->x[i] - u, y = window->y[i] - v;
+        float d1 = c1 * y - s1 * x, d2 = c2 * y - s2 * x; /* across the lines */
+        float bell_1, bell_2;
+        float e1 = edge(d1 * to_z, &bell_1), e2 = edge(d2 * to_z, &bell_2);
+        float by_d1 = slope * bell_1 * e2, by_d2 = slope * bell_2 * e1;
+        window->residual[i] =
+            window->grey[i] - (mean + gx * window->x[i] + gy * window->y[i] + half * e1 * e2);
+        d[CORNER_X][i] = by_d1 * s1 + by_d2 * s2;
+        d[CORNER_Y][i] = -(by_d1 * c1 + by_d2 * c2);
+        d[CORNER_ANGLE_1][i] = -by_d1 * (c1 * x + s1 * y);
+        d[CORNER_ANGLE_2][i] = -by_d2 * (c2 * x + s2 * y);
+        d[CORNER_BLUR][i] = -(by_d1 * d1 + by_d2 * d2) / w;
+        d[CORNER_HALF][i] = e1 * e2;
+    }
+}
+
+/* Scalar product in eight fixed lanes: vector code, and the same sum on every machine. */
+static double dot(const float *a, const float *b, int count)
+{
+    float sum[8] = {0};
+    int i = 0;
+    for (; i + 8 <= count; i += 8)
+        for (int k = 0; k < 8; k++) sum[k] += a[i + k] * b[i + k];
+    for (int k = 0; i < count; i++, k++) sum[k] += a[i] * b[i];
+    double total = 0;
+    for (int k = 0; k < 8; k++) total += (double)sum[k];
+    return total;
+}
+
+/* The pixels of the disc about `centre` (image, px), which must lie inside the image. */
+static void gather(corner_window *window, const td_image *image, const double centre[2], double radius)
+{
+    int cx = (int)lround(centre[0]), cy = (int)lround(centre[1]), reach = (int)radius + 1, count = 0;
+    for (int y = cy - reach; y <= cy + reach; y++) {
+        double dy = y - centre[1], square = radius * radius - dy * dy;
+        if (square < 0) continue;
+        const uint8_t *row = image->data + (size_t)y * (size_t)image->width;
+        int first = (int)ceil(centre[0] - sqrt(square)), last = (int)floor(centre[0] + sqrt(square));
+        for (int x = first; x <= last; x++, count++) {
+            window->x[count] = (float)(x - cx);
+            window->y[count] = (float)(y - cy);
+            window->grey[count] = row[x];
+        }
+    }
+    window->origin[0] = cx, window->origin[1] = cy, window->count = count;
+    for (int i = 0; i < count; i++) window->derivative[CORNER_MEAN][i] = 1;
+    memcpy(window->derivative[CORNER_SLOPE_X], window->x, (size_t)count * sizeof *window->x);
+    memcpy(window->derivative[CORNER_SLOPE_Y], window->y, (size_t)count * sizeof *window->y);
+}
+
+/* Lower triangle L of a = L L^T in place; false when `a` is not positive. */
+static bool factor(double a[N][N])
+{
+    for (int i = 0; i < N; i++) {
+        for (int j = 0; j <= i; j++) {
+            double s = a[i][j];
+            for (int k = 0; k < j; k++) s -= a[i][k] * a[j][k];
+            if (i == j && !(s > 0)) return false;
+            a[i][j] = i == j ? sqrt(s) : s / a[j][j];
+        }
+    }
+    return true;
+}
+
+/* b := L^-1 b */
+static void forward(const double l[N][N], double b[N])
+{
+    for (int i = 0; i < N; i++) {
+        for (int k = 0; k < i; k++) b[i] -= l[i][k] * b[k];
+        b[i] /= l[i][i];
+    }
+}
+
+/* b := L^-T b */
+static void backward(const double l[N][N], double b[N])
+{
+    for (int i = N - 1; i >= 0; i--) {
+        for (int k = i + 1; k < N; k++) b[i] -= l[k][i] * b[k];
+        b[i] /= l[i][i];
+    }
+}
+
+typedef struct fit {
+    double parameter[N];
+    double normal[N][N]; /* sum of derivatives' products (lower triangle) */
+    double cost;         /* sum of squared residuals */
+} fit;
+
+/* Mean and contrast that suit the other parameters, by projection. */
+static void first_greys(fit *f, corner_window *window)
+{
+    f->parameter[CORNER_MEAN] = f->parameter[CORNER_HALF] = 0;
+    td_corner_model(window, f->parameter);
+    const float *one = window->derivative[CORNER_MEAN], *e = window->derivative[CORNER_HALF];
+    double n = window->count, s = dot(one, window->grey, window->count),
+           se = dot(e, window->grey, window->count);
+    double e1 = dot(one, e, window->count), ee = dot(e, e, window->count);
+    f->parameter[CORNER_HALF] = (se - s * e1 / n) / (ee - e1 * e1 / n);
+    f->parameter[CORNER_MEAN] = (s - f->parameter[CORNER_HALF] * e1) / n;
+}
+
+/* Takes the blur out of the normal equations: it stays where it is. */
+static void hold_blur(double normal[N][N], double gradient[N])
+{
+    for (int i = 0; i < N; i++) normal[i > CORNER_BLUR ? i : CORNER_BLUR][i > CORNER_BLUR ? CORNER_BLUR : i] = 0;
+    normal[CORNER_BLUR][CORNER_BLUR] = 1;
+    gradient[CORNER_BLUR] = 0;
+}
+
+/* Levenberg-Marquardt with Marquardt's scaling. False when no step lowers the cost from a point that is no
+ * minimum. */
+static bool minimise(fit *f, corner_window *window, double enough)
+{
+    double damping = 1e-3, gradient[N];
+    td_corner_model(window, f->parameter);
+    f->cost = dot(window->residual, window->residual, window->count);
+    for (int iteration = 0; iteration < 25; iteration++) {
+        for (int i = 0; i < N; i++) {
+            gradient[i] = dot(window->derivative[i], window->residual, window->count);
+            for (int j = 0; j <= i; j++)
+                f->normal[i][j] = dot(window->derivative[i], window->derivative[j], window->count);
+        }
+        for (;; damping = 10 * damping + 1e-6) {
+            if (damping > 1e6) return false;
+            double l[N][N], step[N], trial[N];
+            memcpy(l, f->normal, sizeof l);
+            memcpy(step, gradient, sizeof step);
+            for (int i = 0; i < N; i++) l[i][i] *= 1 + damping;
+            if (f->parameter[CORNER_BLUR] <= LEAST_BLUR && gradient[CORNER_BLUR] < 0) hold_blur(l, step);
+            if (!factor(l)) continue;
+            forward(l, step), backward(l, step);
+            for (int i = 0; i < N; i++) trial[i] = f->parameter[i] + step[i];
+            trial[CORNER_BLUR] = fmax(trial[CORNER_BLUR], LEAST_BLUR);
+            td_corner_model(window, trial);
+            double cost = dot(window->residual, window->residual, window->count);
+            bool small = hypot(step[CORNER_X], step[CORNER_Y]) < enough;
+            if (!(cost <= f->cost * (1 + 1e-6 * small))) continue;
+            memcpy(f->parameter, trial, sizeof trial);
+            f->cost = cost;
+            if (small) return true;
+            break;
+        }
+        damping *= 0.1;
+    }
+    return true;
+}
+
+/* Blocks are numbered outwards from the corner's nearest half pixel, so that each has its mirror image. */
+static int block_of(int pixel, int twice_centre)
+{
+    int k = 2 * pixel - twice_centre; /* twice the distance */
+    int b = (abs(k) + BLOCK) / (2 * BLOCK);
+    return k < 0 ? -b : b;
+}
+
+/* Sums over a block and the block opposite. */
+typedef struct score {
+    double sum[2];          /* of influence times residual, px */
+    double square;          /* of the influence, over both coordinates */
+    double influence[2][N]; /* of influence times derivatives */
+} score;
+
+/* Variances of a coordinate, px^2: for white noise of the residuals' variance, and by the block sums. */
+static bool variances(double *white, double *blocked, const fit *f, const corner_window *window)
+{
+    double l[N][N], row[2][N] = {{0}};
+    memcpy(l, f->normal, sizeof l);
+    if (window->count <= N || !factor(l)) return false;
+    for (int c = 0; c < 2; c++) {
+        row[c][CORNER_X + c] = 1;
+        forward(l, row[c]), backward(l, row[c]);
+    }
+    *white = (row[0][CORNER_X] + row[1][CORNER_Y]) / 2 * f->cost / (window->count - N);
+
+    enum { SCORES = BLOCK_SIDE * BLOCK_SIDE / 2 + 1 };
+    score block[SCORES];
+    memset(block, 0, sizeof block);
+    int twice[2] = {(int)lround(2 * f->parameter[CORNER_X]), (int)lround(2 * f->parameter[CORNER_Y])};
+    for (int i = 0; i < window->count; i++) {
+        int at = block_of((int)window->y[i], twice[1]) * BLOCK_SIDE + block_of((int)window->x[i], twice[0]);
+        score *s = &block[abs(at)];
+        for (int c = 0; c < 2; c++) {
+            double influence = 0;
+            for (int k = 0; k < N; k++) influence += row[c][k] * (double)window->derivative[k][i];
+            s->sum[c] += influence * (double)window->residual[i];
+            s->square += influence * influence;
+            for (int k = 0; k < N; k++) s->influence[c][k] += influence * (double)window->derivative[k][i];
+        }
+    }
+    /* The fit takes its share of the noise out of the residuals: E sum^2 = sum q^2 - (sum q J) (J^T J)^-1
+     * (sum q J)^T. */
+    double seen = 0, expected = 0;
+    for (int b = 0; b < SCORES; b++) {
+        score *s = &block[b];
+        if (s->square == 0) continue;
+        seen += s->sum[0] * s->sum[0] + s->sum[1] * s->sum[1];
+        expected += s->square;
+        for (int c = 0; c < 2; c++) {
+            forward(l, s->influence[c]);
+            for (int k = 0; k < N; k++) expected -= s->influence[c][k] * s->influence[c][k];
+        }
+    }
+    if (!(expected > 0)) return false;
+    *blocked = (row[0][CORNER_X] + row[1][CORNER_Y]) / 2 * seen / expected;
+    return true;
+}
+
+bool td_corner_refine(td_corner *corner, const td_image *image, const double start[2],
+                      const double along_column[2], const double along_row[2])
+{
+    double cross = along_column[0] * along_row[1] - along_column[1] * along_row[0];
+    double next_edge =
+        fabs(cross) / fmax(hypot(along_column[0], along_column[1]), hypot(along_row[0], along_row[1]));
+    double limit = SQUARE_SHARE * next_edge;
+    if (!(limit >= LEAST_RADIUS) || image->channels != 1) return false;
+
+    fit f = {.parameter = {[CORNER_ANGLE_1] = atan2(along_column[1], along_column[0]),
+                           [CORNER_ANGLE_2] = atan2(along_row[1], along_row[0]),
+                           [CORNER_BLUR] = 1}};
+    corner_window window;
+    double at[2] = {start[0], start[1]}, radius = FIRST_RADIUS;
+    for (int pass = 0; pass < 4; pass++) {
+        double border = fmin(fmin(at[0], image->width - 1 - at[0]), fmin(at[1], image->height - 1 - at[1]));
+        radius = fmin(fmin(radius, limit), fmin(border, CORNER_MAX_RADIUS));
+        if (!(radius >= LEAST_RADIUS)) return false;
+        gather(&window, image, at, radius);
+        f.parameter[CORNER_X] = at[0] - window.origin[0];
+        f.parameter[CORNER_Y] = at[1] - window.origin[1];
+        if (pass == 0) first_greys(&f, &window);
+        if (!minimise(&f, &window, pass == 0 ? FIRST_STEP : LAST_STEP)) return false;
+        double now[2] = {window.origin[0] + f.parameter[CORNER_X], window.origin[1] + f.parameter[CORNER_Y]};
+        double moved = hypot(now[0] - at[0], now[1] - at[1]);
+        at[0] = now[0], at[1] = now[1];
+        if (!(hypot(at[0] - start[0], at[1] - start[1]) < next_edge / 2)) return false;
+        double wanted = fmin(limit, fmax(USUAL_RADIUS, 4 * f.parameter[CORNER_BLUR]));
+        if (pass > 0 && moved < 0.5 && radius > 0.9 * fmin(wanted, CORNER_MAX_RADIUS)) break;
+        radius = wanted;
+    }
+    double white, blocked;
+    if (!variances(&white, &blocked, &f, &window)) return false;
+    *corner = (td_corner){.position = {at[0], at[1]},
+                          .sigma = sqrt(blocked),
+                          .white = sqrt(white),
+                          .blur = f.parameter[CORNER_BLUR],
+                          .contrast = 2 * f.parameter[CORNER_HALF],
+                          .residual = sqrt(f.cost / (window.count - N))};
+    return true;
+}

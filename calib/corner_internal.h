@@ -1,0 +1,35 @@
+/* The model that corner.c fits, apart so that its derivatives can be tested. */
+#ifndef TELEDIMOS_CALIB_CORNER_INTERNAL_H
+#define TELEDIMOS_CALIB_CORNER_INTERNAL_H
+
+/* x, y of the corner relative to the window's origin, px; directions of the two lines, rad; blur, px; mean
+ * grey; half the contrast; slope of the light across the window, grey levels per px. */
+enum {
+    CORNER_X,
+    CORNER_Y,
+    CORNER_ANGLE_1,
+    CORNER_ANGLE_2,
+    CORNER_BLUR,
+    CORNER_MEAN,
+    CORNER_HALF,
+    CORNER_SLOPE_X,
+    CORNER_SLOPE_Y,
+    CORNER_PARAMETERS
+};
+
+enum { CORNER_MAX_RADIUS = 20, CORNER_MAX_PIXELS = 1280 }; /* a disc of radius 20 holds at most 1273 pixels */
+
+/* The pixels of a disc, one array for each quantity, so that the compiler makes vector code. */
+typedef struct corner_window {
+    int origin[2]; /* a pixel near the corner, px */
+    int count;
+    float x[CORNER_MAX_PIXELS], y[CORNER_MAX_PIXELS]; /* relative to the origin, px */
+    float grey[CORNER_MAX_PIXELS];
+    float residual[CORNER_MAX_PIXELS];                      /* grey minus model */
+    float derivative[CORNER_PARAMETERS][CORNER_MAX_PIXELS]; /* of the model */
+} corner_window;
+
+/* Fills residual and derivative of every pixel of the window. */
+void td_corner_model(corner_window *window, const double parameter[CORNER_PARAMETERS]);
+
+#endif

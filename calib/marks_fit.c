@@ -1,0 +1,484 @@
+/* Step two of finding marks: the parameters of each mark's model by damped Gauss–Newton (Levenberg 1944,
+ * Marquardt 1963) on the grey levels around its edge, and their covariance.
+ *
+ *   I(p) = (1 + g . (p - p0)) (outside + (inside - outside) M(p; edge))
+ *
+ * with the coverage M of marks_model.c and a linear shading g. A disc's image is an ellipse only without
+ * distortion; distortion's second derivatives add a bulge of three periods per turn, which is part of the
+ * model because on a foreshortened mark it would otherwise pull the centre. Orthogonal as it is to the first
+ * and second harmonics in the frame where the ellipse is a circle, the centre stays the centre of gravity of
+ * the mark's area, and that is what td_mark_bias speaks of.
+ *
+ * Pixels far off the model, and their neighbours, are left out: something lies on the mark or near it. */
+#include <float.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "calib/marks_internal.h"
+#include "core/linalg.h"
+
+enum {
+    INSIDE = TD_EDGE_PARAMETERS,
+    OUTSIDE,
+    SHADE_X,
+    SHADE_Y,
+    PARAMETERS,
+    MAX_ITERATIONS = 12,
+};
+
+/* Bulge per pixel of radius, one standard deviation: five times what k1 = -0.3 does at the edge of a wide
+ * image. */
+static const double BULGE_PER_PX = 1e-3;
+
+static const double PI = 3.14159265358979323846;
+
+typedef struct problem {
+    td_mark_fit *fit;
+    const td_image *image;
+    td_window window;
+    double origin[2]; /* p0 of the shading */
+    double p[PARAMETERS];
+    int rows;
+    int used;            /* rows that are no outliers */
+    double cost;         /* sum of their squared residuals, and of the prior */
+    double bulge_weight; /* of the prior: squared bulge against squared grey levels */
+    double h[PARAMETERS * PARAMETERS], g[PARAMETERS];
+} problem;
+
+void td_mark_fit_free(td_mark_fit *fit)
+{
+    free(fit->cover);
+    free(fit->slot);
+    free(fit->pixel);
+    free(fit->d_edge);
+    fit->cover = fit->d_edge = NULL;
+    fit->slot = NULL;
+    fit->pixel = NULL;
+    fit->size = 0;
+}
+
+static bool reserve(td_mark_fit *fit, size_t size)
+{
+    if (size <= fit->size) return true;
+    td_mark_fit_free(fit);
+    fit->cover = malloc(size * sizeof *fit->cover);
+    fit->slot = malloc(size * sizeof *fit->slot);
+    fit->pixel = malloc(size * sizeof *fit->pixel);
+    fit->d_edge = malloc(size * TD_EDGE_PARAMETERS * sizeof *fit->d_edge);
+    fit->size = size;
+    if (fit->cover && fit->slot && fit->pixel && fit->d_edge) return true;
+    td_mark_fit_free(fit);
+    return false;
+}
+
+/* Symmetric root of a positive matrix (xx, xy, yy): (S + sqrt(det) I) / sqrt(trace + 2 sqrt(det)). */
+static void symmetric_root(double root[3], const double s[3])
+{
+    double d = sqrt(s[0] * s[2] - s[1] * s[1]), n = sqrt(s[0] + s[2] + 2 * d);
+    root[0] = (s[0] + d) / n;
+    root[1] = s[1] / n;
+    root[2] = (s[2] + d) / n;
+}
+
+static void eigenvalues(double value[2], const double s[3])
+{
+    double half = 0.5 * (s[0] + s[2]), root = hypot(0.5 * (s[0] - s[2]), s[1]);
+    value[0] = half - root;
+    value[1] = half + root;
+}
+
+/* Signed distance of a pixel from the edge to first order (Sampson 1982), px; negative inside. */
+static double distance_to_edge(const double *edge, double x, double y)
+{
+    double xx = edge[TD_EDGE_BXX], xy = edge[TD_EDGE_BXY], yy = edge[TD_EDGE_BYY], det = xx * yy - xy * xy;
+    double dx = x - edge[TD_EDGE_CX], dy = y - edge[TD_EDGE_CY];
+    double u = (yy * dx - xy * dy) / det, v = (xx * dy - xy * dx) / det;
+    double gx = (yy * u - xy * v) / det, gy = (xx * v - xy * u) / det, slope = hypot(gx, gy);
+    double excess = 0.5 * (u * u + v * v - 1);
+    return slope > 1e-9 ? excess / slope : -DBL_MAX;
+}
+
+/* The window around the ellipse with `margin` px on each side, clipped to the image. */
+static bool place_window(problem *p, double margin)
+{
+    const double *e = p->p;
+    double half_x = hypot(e[TD_EDGE_BXX], e[TD_EDGE_BXY]) + margin;
+    double half_y = hypot(e[TD_EDGE_BXY], e[TD_EDGE_BYY]) + margin;
+    if (!(half_x < p->image->width) || !(half_y < p->image->height)) return false;
+    double left = fmax(ceil(e[TD_EDGE_CX] - half_x), 0), top = fmax(ceil(e[TD_EDGE_CY] - half_y), 0);
+    double right = fmin(floor(e[TD_EDGE_CX] + half_x), p->image->width - 1);
+    double bottom = fmin(floor(e[TD_EDGE_CY] + half_y), p->image->height - 1);
+    if (!(right > left) || !(bottom > top)) return false;
+    p->window = (td_window){(int)left, (int)top, (int)(right - left) + 1, (int)(bottom - top) + 1, NULL};
+    return true;
+}
+
+/* Takes the pixels within `band` px of the edge. */
+static bool choose_pixels(problem *p, double band, bool *memory)
+{
+    if (!place_window(p, band)) return false;
+    td_window *w = &p->window;
+    if (!(*memory = reserve(p->fit, (size_t)w->width * w->height))) return false;
+    p->rows = 0;
+    for (int j = 0, i = 0; j < w->height; j++) {
+        const uint8_t *row = p->image->data + (size_t)(w->y0 + j) * p->image->width + w->x0;
+        for (int k = 0; k < w->width; k++, i++) {
+            double x = w->x0 + k, y = w->y0 + j;
+            bool near = fabs(distance_to_edge(p->p, x, y)) < band;
+            p->fit->slot[i] = near ? p->rows : -1;
+            if (near) p->fit->pixel[p->rows++] = (td_mark_pixel){.index = i, .x = x, .y = y, .grey = row[k]};
+        }
+    }
+    w->slot = p->fit->slot;
+    return p->rows > 2 * PARAMETERS;
+}
+
+static void sum_cost(problem *p)
+{
+    const double *q = p->p;
+    p->used = 0;
+    p->cost = p->bulge_weight * (q[TD_EDGE_E3C] * q[TD_EDGE_E3C] + q[TD_EDGE_E3S] * q[TD_EDGE_E3S]);
+    for (int i = 0; i < p->rows; i++) {
+        const td_mark_pixel *px = &p->fit->pixel[i];
+        if (px->outlier) continue;
+        p->cost += px->residual * px->residual;
+        p->used++;
+    }
+}
+
+/* Coverage, its derivatives, residuals and the cost at p. */
+static void evaluate(problem *p)
+{
+    td_mark_fit *f = p->fit;
+    memset(f->d_edge, 0, (size_t)p->rows * TD_EDGE_PARAMETERS * sizeof *f->d_edge);
+    td_mark_cover(f->cover, f->d_edge, &p->window, p->p, &f->table);
+    const double *q = p->p;
+    for (int i = 0; i < p->rows; i++) {
+        td_mark_pixel *px = &f->pixel[i];
+        double shade = 1 + q[SHADE_X] * (px->x - p->origin[0]) + q[SHADE_Y] * (px->y - p->origin[1]);
+        px->residual = px->grey - shade * (q[OUTSIDE] + (q[INSIDE] - q[OUTSIDE]) * f->cover[px->index]);
+    }
+    sum_cost(p);
+}
+
+/* The row of the Jacobian of a pixel's grey level. */
+static void jacobian_row(double j[PARAMETERS], const problem *p, int i)
+{
+    const td_mark_pixel *px = &p->fit->pixel[i];
+    const double *q = p->p, *d = p->fit->d_edge + (size_t)TD_EDGE_PARAMETERS * i;
+    double dx = px->x - p->origin[0], dy = px->y - p->origin[1], m = p->fit->cover[px->index];
+    double shade = 1 + q[SHADE_X] * dx + q[SHADE_Y] * dy, contrast = q[INSIDE] - q[OUTSIDE];
+    for (int k = 0; k < TD_EDGE_PARAMETERS; k++) j[k] = shade * contrast * d[k];
+    j[INSIDE] = shade * m;
+    j[OUTSIDE] = shade * (1 - m);
+    j[SHADE_X] = (q[OUTSIDE] + contrast * m) * dx;
+    j[SHADE_Y] = (q[OUTSIDE] + contrast * m) * dy;
+}
+
+/* h = J^T J, g = J^T r, with the prior. */
+static void normal_equations(problem *p)
+{
+    double *h = p->h, *g = p->g;
+    memset(h, 0, sizeof p->h);
+    memset(g, 0, sizeof p->g);
+    for (int i = 0; i < p->rows; i++) {
+        if (p->fit->pixel[i].outlier) continue;
+        double j[PARAMETERS], r = p->fit->pixel[i].residual;
+        jacobian_row(j, p, i);
+        for (int k = 0; k < PARAMETERS; k++) {
+            g[k] += j[k] * r;
+            for (int l = 0; l <= k; l++) h[k * PARAMETERS + l] += j[k] * j[l];
+        }
+    }
+    for (int k = TD_EDGE_E3C; k <= TD_EDGE_E3S; k++) {
+        h[k * PARAMETERS + k] += p->bulge_weight;
+        g[k] -= p->bulge_weight * p->p[k];
+    }
+    for (int k = 0; k < PARAMETERS; k++)
+        for (int l = 0; l < k; l++) h[l * PARAMETERS + k] = h[k * PARAMETERS + l];
+}
+
+/* step = (h + lambda diag h)^-1 g. A blur at its lower bound that wants to fall stays. */
+static bool solve(double step[PARAMETERS], const problem *p, double lambda)
+{
+    double a[PARAMETERS * PARAMETERS];
+    memcpy(a, p->h, sizeof a);
+    for (int k = 0; k < PARAMETERS; k++) a[k * PARAMETERS + k] *= 1 + lambda;
+    if (p->p[TD_EDGE_BLUR] <= TD_MARK_MIN_BLUR && p->g[TD_EDGE_BLUR] < 0)
+        a[TD_EDGE_BLUR * PARAMETERS + TD_EDGE_BLUR] *= 1e12;
+    if (td_invert_spd(a, a, PARAMETERS, NULL) != TD_OK) return false;
+    for (int k = 0; k < PARAMETERS; k++) {
+        step[k] = 0;
+        for (int l = 0; l < PARAMETERS; l++) step[k] += a[k * PARAMETERS + l] * p->g[l];
+        if (!isfinite(step[k])) return false;
+    }
+    return true;
+}
+
+/* Largest move of the edge, px. */
+static double edge_move(const double step[PARAMETERS])
+{
+    double most = 0;
+    for (int k = TD_EDGE_CX; k <= TD_EDGE_BLUR; k++) most = fmax(most, fabs(step[k]));
+    return most;
+}
+
+/* The ellipse stays one, within its window; the blur within its bounds. */
+static bool confine(problem *p)
+{
+    double *q = p->p, lambda[2];
+    q[TD_EDGE_BLUR] = fmin(fmax(q[TD_EDGE_BLUR], TD_MARK_MIN_BLUR), TD_MARK_MAX_BLUR);
+    eigenvalues(lambda, q + TD_EDGE_BXX);
+    const td_window *w = &p->window;
+    return lambda[0] > 0.2 && lambda[1] < w->width + w->height && q[TD_EDGE_CX] > w->x0 &&
+           q[TD_EDGE_CY] > w->y0 && q[TD_EDGE_CX] < w->x0 + w->width && q[TD_EDGE_CY] < w->y0 + w->height &&
+           fabs(q[TD_EDGE_E3C]) < 0.2 && fabs(q[TD_EDGE_E3S]) < 0.2;
+}
+
+/* Descends until the edge moves by less than `tolerance` px. False when it finds no way down. */
+static bool descend(problem *p, double tolerance)
+{
+    double lambda = 1e-4;
+    normal_equations(p);
+    for (int i = 0; i < MAX_ITERATIONS; i++) {
+        double step[PARAMETERS], before[PARAMETERS], cost = p->cost;
+        if (!solve(step, p, lambda)) return false;
+        memcpy(before, p->p, sizeof before);
+        for (int k = 0; k < PARAMETERS; k++) p->p[k] += step[k];
+        bool possible = confine(p);
+        double move = edge_move(step);
+        if (possible && move < tolerance) return true;
+        if (possible) evaluate(p);
+        if (possible && p->cost <= cost) {
+            lambda *= 0.1;
+            normal_equations(p);
+        } else {
+            memcpy(p->p, before, sizeof before);
+            p->cost = cost;
+            lambda = fmax(lambda * 10, 1e-3);
+            if (lambda > 1e6) return false;
+        }
+    }
+    return false;
+}
+
+/* Grey levels inside and outside the blob: the mean of its core, the median of a ring around it. */
+static bool start_levels(problem *p)
+{
+    unsigned ring[256] = {0}, total = 0, seen = 0;
+    double core = 0, count = 0, deepest = -DBL_MAX * 0.5, at_deepest = 0;
+    const td_window *w = &p->window;
+    deepest = DBL_MAX;
+    for (int j = 0; j < w->height; j++) {
+        const uint8_t *row = p->image->data + (size_t)(w->y0 + j) * p->image->width + w->x0;
+        for (int i = 0; i < w->width; i++) {
+            double d = distance_to_edge(p->p, w->x0 + i, w->y0 + j);
+            if (d > 1.5 && d < 4) ring[row[i]]++, total++;
+            if (d < -1.5) core += row[i], count++;
+            if (d < deepest) deepest = d, at_deepest = row[i];
+        }
+    }
+    if (total < 8) return false;
+    int median = 0;
+    while (2 * (seen += ring[median]) < total) median++;
+    p->p[OUTSIDE] = median;
+    p->p[INSIDE] = count > 0 ? core / count : at_deepest;
+    return fabs(p->p[INSIDE] - p->p[OUTSIDE]) >= 2;
+}
+
+/* Centre, shape and blur from the grey levels as coverage v: moments, to whose covariance blur adds s^2 I;
+ * and v (1 - v), whose integral across a straight blurred edge is s / sqrt(pi). */
+static bool start_edge(problem *p)
+{
+    double m[6] = {0}, across = 0;
+    const td_window *w = &p->window;
+    double outside = p->p[OUTSIDE], contrast = p->p[INSIDE] - outside;
+    for (int j = 0; j < w->height; j++) {
+        const uint8_t *row = p->image->data + (size_t)(w->y0 + j) * p->image->width + w->x0;
+        for (int i = 0; i < w->width; i++) {
+            double x = w->x0 + i - p->origin[0], y = w->y0 + j - p->origin[1];
+            double d = distance_to_edge(p->p, w->x0 + i, w->y0 + j);
+            if (d > 2.5) continue;
+            double v = fmin(fmax((row[i] - outside) / contrast, 0), 1);
+            m[0] += v, m[1] += v * x, m[2] += v * y, m[3] += v * x * x, m[4] += v * x * y, m[5] += v * y * y;
+            if (d > -2.5) across += v * (1 - v);
+        }
+    }
+    if (!(m[0] > 2)) return false;
+    double x = m[1] / m[0], y = m[2] / m[0], lambda[2];
+    double c[3] = {m[3] / m[0] - x * x, m[4] / m[0] - x * y, m[5] / m[0] - y * y};
+    double blur = sqrt(PI) * across / (2 * PI * sqrt(2 * (c[0] + c[2])));
+    eigenvalues(lambda, c);
+    if (!(lambda[0] > 0.15)) return false;
+    blur = fmin(fmax(blur, 0.5), sqrt(0.6 * lambda[0]));
+    c[0] = 4 * (c[0] - blur * blur), c[1] *= 4, c[2] = 4 * (c[2] - blur * blur);
+    symmetric_root(p->p + TD_EDGE_BXX, c);
+    p->p[TD_EDGE_CX] = p->origin[0] + x;
+    p->p[TD_EDGE_CY] = p->origin[1] + y;
+    p->p[TD_EDGE_BLUR] = fmax(blur, TD_MARK_MIN_BLUR);
+    return true;
+}
+
+/* The first estimate, from the blob. */
+static bool start(problem *p, const td_blob *blob)
+{
+    double c[3];
+    for (int i = 0; i < 3; i++) c[i] = 4 * blob->covariance[i];
+    symmetric_root(p->p + TD_EDGE_BXX, c);
+    p->p[TD_EDGE_CX] = p->origin[0] = blob->centroid[0];
+    p->p[TD_EDGE_CY] = p->origin[1] = blob->centroid[1];
+    return place_window(p, 4) && start_levels(p) && start_edge(p);
+}
+
+/* Marks the pixels that are far off the model, with their neighbours in the window: scale from the median
+ * residual, but never below an eighth of the contrast, which allows for lens and sharpening that the model
+ * does not know. */
+static void mark_outliers(problem *p)
+{
+    enum { BINS = 1024 };
+    unsigned bin[BINS] = {0}, seen = 0;
+    td_mark_pixel *pixel = p->fit->pixel;
+    double contrast = fabs(p->p[INSIDE] - p->p[OUTSIDE]), per_level = BINS / (0.5 * contrast + 1);
+    for (int i = 0; i < p->rows; i++) {
+        double b = fabs(pixel[i].residual) * per_level;
+        bin[b < BINS - 1 ? (int)b : BINS - 1]++;
+        pixel[i].outlier = false;
+    }
+    int median = 0;
+    while (2 * (seen += bin[median]) < (unsigned)p->rows) median++;
+    double limit = fmax(5 * 1.4826 * (median + 0.5) / per_level, contrast / 8);
+    const td_window *w = &p->window;
+    for (int i = 0; i < p->rows; i++) {
+        if (fabs(pixel[i].residual) <= limit) continue;
+        int x = pixel[i].index % w->width, y = pixel[i].index / w->width;
+        for (int dy = -1; dy <= 1; dy++) {
+            for (int dx = -1; dx <= 1; dx++) {
+                if (x + dx < 0 || y + dy < 0 || x + dx >= w->width || y + dy >= w->height) continue;
+                int slot = w->slot[(y + dy) * w->width + x + dx];
+                if (slot >= 0) pixel[slot].outlier = true;
+            }
+        }
+    }
+    sum_cost(p);
+}
+
+/* One fit to the pixels near the present edge. */
+static bool fit_band(problem *p, double tolerance, bool reject, bool *memory)
+{
+    const double *q = p->p;
+    double smear = sqrt(q[TD_EDGE_BLUR] * q[TD_EDGE_BLUR] + 1.0 / 12);
+    double area = q[TD_EDGE_BXX] * q[TD_EDGE_BYY] - q[TD_EDGE_BXY] * q[TD_EDGE_BXY];
+    double variance = p->used > PARAMETERS ? p->cost / (p->used - PARAMETERS) : 1;
+    p->bulge_weight = variance / (BULGE_PER_PX * BULGE_PER_PX * area);
+    if (!choose_pixels(p, 1 + 3 * smear, memory)) return false;
+    evaluate(p);
+    double contrast = p->p[INSIDE] - p->p[OUTSIDE];
+    if (p->cost > 0.09 * contrast * contrast * p->rows) return false;
+    if (reject) mark_outliers(p);
+    return p->used > 2 * PARAMETERS && descend(p, tolerance);
+}
+
+/* Is what was fitted a mark, and near the blob? */
+static bool plausible(const problem *p, const td_blob *blob)
+{
+    const double *q = p->p;
+    double lambda[2], contrast = q[INSIDE] - q[OUTSIDE], rms = sqrt(p->cost / p->used);
+    eigenvalues(lambda, q + TD_EDGE_BXX);
+    double area = PI * lambda[0] * lambda[1];
+    double dx = q[TD_EDGE_CX] - blob->centroid[0], dy = q[TD_EDGE_CY] - blob->centroid[1];
+    return (contrast > 0) == blob->light && fabs(contrast) >= 5 && rms < 0.2 * fabs(contrast) &&
+           p->used > 0.75 * p->rows && hypot(dx, dy) < 1.5 + 0.3 * lambda[1] && area > 0.25 * blob->area &&
+           area < 3 * blob->area + 10 && lambda[0] > 0.1 * lambda[1] &&
+           q[TD_EDGE_BLUR] < 0.5 + 1.5 * lambda[0] && hypot(q[TD_EDGE_E3C], q[TD_EDGE_E3S]) < 0.06;
+}
+
+/* The mark of a finished fit; false when its covariance is not there. */
+static bool report(td_mark *mark, const problem *p, const td_blob *blob)
+{
+    double inverse[PARAMETERS * PARAMETERS];
+    const double *q = p->p;
+    if (td_invert_spd(inverse, p->h, PARAMETERS, NULL) != TD_OK) return false;
+    double variance = fmax(p->cost / (p->used - PARAMETERS), 1.0 / 12);
+    double xx = q[TD_EDGE_BXX], xy = q[TD_EDGE_BXY], yy = q[TD_EDGE_BYY], det2 = pow(xx * yy - xy * xy, 2);
+    *mark = (td_mark){
+        .centre = {q[TD_EDGE_CX], q[TD_EDGE_CY]},
+        .shape = {(yy * yy + xy * xy) / det2, -xy * (xx + yy) / det2, (xx * xx + xy * xy) / det2},
+        .blur = q[TD_EDGE_BLUR],
+        .inside = q[INSIDE],
+        .outside = q[OUTSIDE],
+        .sigma = sqrt(0.5 * variance * (inverse[0] + inverse[PARAMETERS + 1])),
+        .centroid = {blob->centroid[0], blob->centroid[1]},
+    };
+    return mark->sigma > 0 && mark->sigma < 0.5;
+}
+
+td_status td_mark_fit_blob(td_mark *mark, bool *ok, td_mark_fit *fit, const td_image *image,
+                           const td_blob *blob, td_error *error)
+{
+    problem p = {.fit = fit, .image = image};
+    bool memory = true;
+    *ok = start(&p, blob) && fit_band(&p, 0.05, false, &memory) && fit_band(&p, 3e-3, true, &memory) &&
+          plausible(&p, blob) && report(mark, &p, blob);
+    return memory ? TD_OK
+                  : td_fail(error, TD_ERROR_MEMORY, "no memory to fit a mark of %.0f px^2", blob->area);
+}
+
+/* A window that is smaller than a mark and one that is larger both find it. */
+static bool same(const double *centre, double area, const td_blob *blob, double distance, double ratio)
+{
+    double dx = centre[0] - blob->centroid[0], dy = centre[1] - blob->centroid[1];
+    return hypot(dx, dy) < distance && area < ratio * blob->area && blob->area < ratio * area;
+}
+
+static double mark_area(const td_mark *mark)
+{
+    return PI / sqrt(mark->shape[0] * mark->shape[2] - mark->shape[1] * mark->shape[1]);
+}
+
+static bool already_seen(const td_blob *blob, const td_mark *mark, size_t marks, const td_blob *failed,
+                         size_t fails)
+{
+    for (size_t i = 0; i < marks; i++)
+        if (same(mark[i].centre, mark_area(&mark[i]), blob, 1 + 0.25 * sqrt(blob->area), 3)) return true;
+    for (size_t i = 0; i < fails; i++)
+        if (same(failed[i].centroid, failed[i].area, blob, 0.3, 1.05)) return true;
+    return false;
+}
+
+td_status td_marks_find(td_mark **marks, size_t *count, const td_image *image, td_mark_polarity polarity,
+                        td_error *error)
+{
+    td_blob *blob = NULL;
+    size_t blobs = 0, found = 0, failed = 0;
+    *marks = NULL;
+    *count = 0;
+    if (!image || !image->data || image->width < 1 || image->height < 1 || image->channels != 1)
+        return td_fail(error, TD_ERROR_ARGUMENT,
+                       "marks are looked for in a grey image of at least one pixel");
+    TD_TRY(td_marks_blobs(&blob, &blobs, image, polarity, error));
+    td_mark *mark = malloc((blobs + 1) * sizeof *mark);
+    td_mark_fit *fit = calloc(1, sizeof *fit);
+    td_status status = TD_OK;
+    if (!mark || !fit) status = td_fail(error, TD_ERROR_MEMORY, "no memory for %zu marks", blobs);
+    if (status == TD_OK) td_normal_table_init(&fit->table);
+    for (size_t i = 0; i < blobs && status == TD_OK; i++) {
+        if (already_seen(&blob[i], mark, found, blob, failed)) continue;
+        bool ok;
+        status = td_mark_fit_blob(&mark[found], &ok, fit, image, &blob[i], error);
+        if (ok)
+            found++;
+        else
+            blob[failed++] = blob[i];
+    }
+    if (fit) td_mark_fit_free(fit);
+    free(fit);
+    free(blob);
+    if (status != TD_OK) {
+        free(mark);
+        return status;
+    }
+    *marks = mark;
+    *count = found;
+    return TD_OK;
+}

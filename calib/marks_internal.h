@@ -1,0 +1,99 @@
+/* What the files of the marks' detector share: blobs (step one), the model of a mark (step two), lattices
+ * (step three). */
+#ifndef TELEDIMOS_CALIB_MARKS_INTERNAL_H
+#define TELEDIMOS_CALIB_MARKS_INTERNAL_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "calib/marks.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* ---- Step one: binarise; a blob is a region of the binary image with its holes filled. ---- */
+
+typedef struct td_blob {
+    double centroid[2];   /* px */
+    double covariance[3]; /* xx, xy, yy of the region, px^2 */
+    double area;          /* px^2 */
+    bool light;           /* lighter than what is around */
+} td_blob;
+
+/* Standard deviation of the image's noise (grey levels), quantisation included. */
+double td_image_noise(const td_image *image);
+/* All elliptical blobs away from the image's border. *blobs is to be freed with free(). */
+td_status td_marks_blobs(td_blob **blobs, size_t *count, const td_image *image, td_mark_polarity polarity,
+                         td_error *error);
+
+/* ---- Step two: the model of a mark. ---- */
+
+/* The edge: q(t) = c + r(t) B (cos t, sin t), with B the symmetric root of the ellipse's covariance-like
+ * matrix (semi-axes as eigenvalues) and r(t) = 1 + e3c cos 3t + e3s sin 3t the bulge that distortion gives.
+ */
+enum {
+    TD_EDGE_CX,
+    TD_EDGE_CY,
+    TD_EDGE_BXX,
+    TD_EDGE_BXY,
+    TD_EDGE_BYY,
+    TD_EDGE_BLUR,
+    TD_EDGE_E3C,
+    TD_EDGE_E3S,
+    TD_EDGE_PARAMETERS
+};
+
+/* Phi and its density, for the model's many error functions. */
+enum { TD_NORMAL_STEPS = 32, TD_NORMAL_RANGE = 6 };
+typedef struct td_normal_table {
+    double cumulative[2 * TD_NORMAL_STEPS * TD_NORMAL_RANGE + 1];
+    double density[2 * TD_NORMAL_STEPS * TD_NORMAL_RANGE + 1];
+} td_normal_table;
+void td_normal_table_init(td_normal_table *table);
+
+/* Blurs that the model takes, px. */
+enum { TD_MARK_MAX_BLUR = 12 };
+static const double TD_MARK_MIN_BLUR = 0.2;
+
+/* A window of pixels; `slot` gives the row of `d_edge` of each pixel, -1: not wanted. */
+typedef struct td_window {
+    int x0, y0, width, height; /* px */
+    const int *slot;           /* (height,width) */
+} td_window;
+
+/* cover (height,width): how much of each pixel the blurred disc covers, 0 to 1; d_edge (slots,8): its
+ * derivatives by the edge's parameters, added to what is there (the caller zeroes it). */
+void td_mark_cover(double *cover, double *d_edge, const td_window *window,
+                   const double edge[TD_EDGE_PARAMETERS], const td_normal_table *table);
+
+/* A pixel that a fit looks at. */
+typedef struct td_mark_pixel {
+    int index;   /* in the window */
+    double x, y; /* px */
+    double grey;
+    double residual; /* grey less the model's */
+    bool outlier;
+} td_mark_pixel;
+
+/* Working memory of fits, used again from mark to mark; zeroed at first. */
+typedef struct td_mark_fit {
+    td_normal_table table;
+    double *cover;        /* (pixels of the window) */
+    int *slot;            /* (pixels of the window) */
+    td_mark_pixel *pixel; /* (slots) */
+    double *d_edge;       /* (slots,8) */
+    size_t size;          /* of all of these */
+} td_mark_fit;
+void td_mark_fit_free(td_mark_fit *fit);
+
+/* Fits the model to the image around the blob. *ok = false when there is no mark; an error only for want of
+ * memory. */
+td_status td_mark_fit_blob(td_mark *mark, bool *ok, td_mark_fit *fit, const td_image *image,
+                           const td_blob *blob, td_error *error);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,362 @@
+/* Covariance of a solved problem.
+ *
+ * With the normal matrix N = J^T J split into shared (s) and local (v) parts, and N_vv block-diagonal, since no
+ * residual touches two local blocks:
+ *     S    = N_ss - sum_v N_sv N_vv^-1 N_vs          (Schur complement)
+ *     C_ss = S^+                                      (eigenvalues; null directions returned)
+ *     C_vs = -N_vv^-1 N_vs C_ss
+ *     C_vw = [v = w] N_vv^-1 + N_vv^-1 N_vs C_ss N_sw N_ww^-1
+ * A considered block c with covariance C_cc adds K C_cc K^T to the free shared ones, K = -S_xx^+ S_xc. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/least_squares_internal.h"
+#include "core/linalg.h"
+
+/* Relative curvature, each parameter scaled to unit curvature, below which a direction counts as null. */
+#define NULL_CURVATURE 1e-13
+
+typedef struct local_part {
+    int size;          /* free components */
+    double *inverse;   /* N_vv^-1 (size,size) */
+    double *coupling;  /* N_vs (size,n), then N_vv^-1 N_vs */
+} local_part;
+
+struct td_covariance {
+    size_t block_count;
+    td_block *block;
+    size_t *offset;    /* (block_count) first shared column of a shared block */
+    local_part *local; /* (block_count) */
+    int (*column)[TD_MAX_BLOCK_SIZE]; /* (block_count) component to free component, -1: held */
+    size_t n;          /* shared columns */
+    double *shared;    /* C_ss (n,n) */
+    size_t null_count;
+    double *null;      /* (null_count,n) */
+    double chi2;
+    size_t rows, parameters;
+};
+
+void td_covariance_free(td_covariance **covariance)
+{
+    if (!covariance || !*covariance) return;
+    td_covariance *c = *covariance;
+    if (c->local)
+        for (size_t i = 0; i < c->block_count; i++) {
+            free(c->local[i].inverse);
+            free(c->local[i].coupling);
+        }
+    free(c->block);
+    free(c->offset);
+    free(c->local);
+    free(c->column);
+    free(c->shared);
+    free(c->null);
+    free(c);
+    *covariance = NULL;
+}
+
+/* Numbers the free components; considered blocks count as free here. */
+static td_status lay_out(td_covariance *c, const td_problem *problem, const td_consider *consider,
+                         size_t consider_count, td_error *error)
+{
+    c->block_count = problem->block_count;
+    size_t count = c->block_count ? c->block_count : 1;
+    c->block = malloc(count * sizeof *c->block);
+    c->offset = calloc(count, sizeof *c->offset);
+    c->local = calloc(count, sizeof *c->local);
+    c->column = malloc(count * sizeof *c->column);
+    if (!c->block || !c->offset || !c->local || !c->column)
+        return td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance");
+    memcpy(c->block, problem->block, c->block_count * sizeof *c->block);
+    for (size_t i = 0; i < consider_count; i++) {
+        int b = consider[i].block;
+        if (b < 0 || (size_t)b >= c->block_count || c->block[b].local)
+            return td_fail(error, TD_ERROR_ARGUMENT, "considered block %d: must be a shared block", b);
+        c->block[b].held = false;
+    }
+    for (size_t i = 0; i < c->block_count; i++) {
+        int free_components = 0;
+        for (int k = 0; k < c->block[i].tangent; k++)
+            c->column[i][k] = td_block_component_free(&c->block[i], k) ? free_components++ : -1;
+        c->parameters += (size_t)free_components;
+        if (c->block[i].local) {
+            c->local[i].size = free_components;
+        } else {
+            c->offset[i] = c->n;
+            c->n += (size_t)free_components;
+        }
+    }
+    bool enough = (c->shared = calloc(c->n * c->n + 1, sizeof *c->shared));
+    for (size_t i = 0; i < c->block_count && enough; i++) {
+        if (!c->local[i].size) continue;
+        size_t size = (size_t)c->local[i].size;
+        c->local[i].inverse = calloc(size * size, sizeof(double));
+        c->local[i].coupling = calloc(size * c->n + 1, sizeof(double));
+        enough = c->local[i].inverse && c->local[i].coupling;
+    }
+    return enough ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance of %zu parameters", c->n);
+}
+
+/* Where the product of components of blocks a and b belongs in N; NULL: nowhere (held, or the mirrored half). */
+static double *normal_element(td_covariance *c, int a, int i, int b, int k)
+{
+    int row = c->column[a][i], column = c->column[b][k];
+    if (row < 0 || column < 0) return NULL;
+    if (c->block[a].local)
+        return c->block[b].local ? &c->local[a].inverse[row * c->local[a].size + column]
+                                 : &c->local[a].coupling[(size_t)row * c->n + c->offset[b] + (size_t)column];
+    if (c->block[b].local) return NULL;
+    return &c->shared[(c->offset[a] + (size_t)row) * c->n + c->offset[b] + (size_t)column];
+}
+
+/* Adds one residual's J^T J. */
+static void add_normal(td_covariance *c, const td_residual *r, double *const *jacobian)
+{
+    for (int a = 0; a < r->block_count; a++)
+        for (int b = 0; b < r->block_count; b++) {
+            int ta = c->block[r->block[a]].tangent, tb = c->block[r->block[b]].tangent;
+            for (int i = 0; i < ta; i++)
+                for (int k = 0; k < tb; k++) {
+                    double *element = normal_element(c, r->block[a], i, r->block[b], k);
+                    if (!element) continue;
+                    double sum = 0;
+                    for (int row = 0; row < r->rows; row++)
+                        sum += jacobian[a][row * ta + i] * jacobian[b][row * tb + k];
+                    *element += sum;
+                }
+        }
+}
+
+static td_status accumulate(td_covariance *c, const td_problem *problem, td_error *error)
+{
+    size_t block_size = (size_t)problem->max_rows * TD_MAX_BLOCK_SIZE;
+    double *work = malloc((block_size * TD_MAX_RESIDUAL_BLOCKS + (size_t)problem->max_rows + 1) * sizeof *work);
+    if (!work) return td_fail(error, TD_ERROR_MEMORY, "no memory for Jacobians of %d rows", problem->max_rows);
+    double *jacobian[TD_MAX_RESIDUAL_BLOCKS], *out = work + block_size * TD_MAX_RESIDUAL_BLOCKS;
+    for (int i = 0; i < TD_MAX_RESIDUAL_BLOCKS; i++) jacobian[i] = work + (size_t)i * block_size;
+
+    td_status status = TD_OK;
+    for (size_t i = 0; i < problem->residual_count && status == TD_OK; i++) {
+        const td_residual *r = &problem->residual[i];
+        const double *value[TD_MAX_RESIDUAL_BLOCKS];
+        for (int k = 0; k < r->block_count; k++) value[k] = problem->block[r->block[k]].value;
+        if (!td_residual_evaluate(problem, r, out, jacobian, value)) {
+            status = td_fail(error, TD_ERROR_DATA, "covariance: residual %zu cannot be evaluated", i);
+            break;
+        }
+        add_normal(c, r, jacobian);
+        c->rows += (size_t)r->rows;
+        for (int k = 0; k < r->rows; k++) c->chi2 += out[k] * out[k];
+    }
+    free(work);
+    return status;
+}
+
+/* Inverts N_vv and subtracts its part from S. */
+static td_status eliminate(td_covariance *c, td_error *error)
+{
+    size_t n = c->n;
+    for (size_t v = 0; v < c->block_count; v++) {
+        local_part *l = &c->local[v];
+        if (!l->size) continue;
+        size_t size = (size_t)l->size;
+        double *solved = malloc((size * n + 1) * sizeof *solved);
+        if (!solved) return td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance");
+        td_status status = td_invert_spd(l->inverse, l->inverse, size, error);
+        if (status != TD_OK) {
+            free(solved);
+            return td_fail(error, TD_ERROR_DATA, "covariance: local block %zu is not determined by its residuals", v);
+        }
+        if (n) td_multiply(solved, l->inverse, l->coupling, size, size, n);
+        for (size_t i = 0; i < size; i++)
+            for (size_t a = 0; a < n; a++) {
+                double x = l->coupling[i * n + a];
+                if (x == 0) continue;
+                for (size_t b = 0; b < n; b++) c->shared[a * n + b] -= x * solved[i * n + b];
+            }
+        free(l->coupling);
+        l->coupling = solved;
+    }
+    return TD_OK;
+}
+
+/* out (n,n) = pseudo-inverse of the symmetric s; null directions are appended to c. Works in place. */
+static td_status pseudo_inverse(double *out, td_covariance *c, const double *s, size_t n, const size_t *global,
+                                td_error *error)
+{
+    if (!n) return TD_OK;
+    double *work = malloc((2 * n * n + 2 * n) * sizeof *work);
+    if (!work) return td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance of %zu parameters", n);
+    double *scaled = work, *vector = work + n * n, *value = vector + n * n, *d = value + n;
+    for (size_t i = 0; i < n; i++) d[i] = s[i * n + i] > 0 ? 1 / sqrt(s[i * n + i]) : 1;
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++) scaled[i * n + j] = s[i * n + j] * d[i] * d[j];
+    td_status status = td_eigen_symmetric(value, vector, scaled, n, error);
+    memset(out, 0, n * n * sizeof *out);
+    for (size_t k = 0; k < n && status == TD_OK; k++) {
+        const double *v = vector + k * n;
+        if (value[k] > NULL_CURVATURE * value[n - 1]) {
+            for (size_t i = 0; i < n; i++)
+                for (size_t j = 0; j < n; j++) out[i * n + j] += v[i] * v[j] / value[k] * d[i] * d[j];
+            continue;
+        }
+        double *grown = realloc(c->null, (c->null_count + 1) * c->n * sizeof *grown);
+        if (!grown) {
+            status = td_fail(error, TD_ERROR_MEMORY, "no memory for null directions");
+            break;
+        }
+        c->null = grown;
+        double *direction = grown + c->null_count++ * c->n;
+        memset(direction, 0, c->n * sizeof *direction);
+        for (size_t i = 0; i < n; i++) direction[global[i]] = v[i] * d[i];
+    }
+    free(work);
+    return status;
+}
+
+/* Splits the shared columns into free ones (x) and considered ones (c), inverts S_xx and adds the considered part. */
+static td_status invert_shared(td_covariance *c, const td_consider *consider, size_t consider_count, td_error *error)
+{
+    size_t n = c->n, nx = 0, nc = 0;
+    size_t *index = malloc((2 * n + 1) * sizeof *index);
+    double *work = calloc(5 * n * n + 1, sizeof *work);
+    bool *considered = calloc(n + 1, sizeof *considered);
+    td_status status = TD_OK;
+    if (!index || !work || !considered) {
+        status = td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance of %zu parameters", n);
+        goto done;
+    }
+    double *cc = work, *sxx = work + n * n, *k = sxx + n * n, *sxc = k + n * n, *kc = sxc + n * n;
+    for (size_t i = 0; i < consider_count; i++) {
+        const td_block *b = &c->block[consider[i].block];
+        size_t offset = c->offset[consider[i].block];
+        const int *column = c->column[consider[i].block];
+        for (int p = 0; p < b->tangent; p++)
+            for (int q = 0; q < b->tangent; q++)
+                if (column[p] >= 0 && column[q] >= 0) {
+                    considered[offset + (size_t)column[p]] = true;
+                    cc[(offset + (size_t)column[p]) * n + offset + (size_t)column[q]] =
+                        consider[i].covariance[p * b->tangent + q];
+                }
+    }
+    for (size_t i = 0; i < n; i++)
+        if (!considered[i]) index[nx++] = i;
+    for (size_t i = 0; i < n; i++)
+        if (considered[i]) index[nx + nc++] = i;
+    for (size_t i = 0; i < nx; i++)
+        for (size_t j = 0; j < nx; j++) sxx[i * nx + j] = c->shared[index[i] * n + index[j]];
+    for (size_t i = 0; i < nx; i++)
+        for (size_t j = 0; j < nc; j++) sxc[i * nc + j] = c->shared[index[i] * n + index[nx + j]];
+    status = pseudo_inverse(sxx, c, sxx, nx, index, error);
+    if (status != TD_OK) goto done;
+
+    memset(c->shared, 0, n * n * sizeof *c->shared);
+    for (size_t i = 0; i < nx; i++)
+        for (size_t j = 0; j < nx; j++) c->shared[index[i] * n + index[j]] = sxx[i * nx + j];
+    if (nc && nx) {
+        /* K = -S_xx^+ S_xc; C_xc = K C_cc; C_xx += C_xc K^T */
+        td_multiply(k, sxx, sxc, nx, nx, nc);
+        double *compact = sxc;
+        for (size_t i = 0; i < nx * nc; i++) k[i] = -k[i];
+        for (size_t i = 0; i < nc; i++)
+            for (size_t j = 0; j < nc; j++) compact[i * nc + j] = cc[index[nx + i] * n + index[nx + j]];
+        td_multiply(kc, k, compact, nx, nc, nc);
+        td_multiply_transposed(sxx, kc, k, nx, nc, nx);
+        for (size_t i = 0; i < nx; i++) {
+            for (size_t j = 0; j < nx; j++) c->shared[index[i] * n + index[j]] += sxx[i * nx + j];
+            for (size_t j = 0; j < nc; j++)
+                c->shared[index[i] * n + index[nx + j]] = c->shared[index[nx + j] * n + index[i]] = kc[i * nc + j];
+        }
+    }
+    for (size_t i = 0; i < nc; i++)
+        for (size_t j = 0; j < nc; j++)
+            c->shared[index[nx + i] * n + index[nx + j]] = cc[index[nx + i] * n + index[nx + j]];
+    c->parameters -= nc;
+done:
+    free(index);
+    free(work);
+    free(considered);
+    return status;
+}
+
+td_status td_problem_covariance(td_covariance **covariance, const td_problem *problem, const td_consider *consider,
+                                size_t consider_count, td_error *error)
+{
+    *covariance = NULL;
+    td_covariance *c = calloc(1, sizeof *c);
+    if (!c) return td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance");
+    td_status status = lay_out(c, problem, consider, consider_count, error);
+    if (status == TD_OK) status = accumulate(c, problem, error);
+    if (status == TD_OK) status = eliminate(c, error);
+    if (status == TD_OK) status = invert_shared(c, consider, consider_count, error);
+    if (status == TD_OK)
+        *covariance = c;
+    else
+        td_covariance_free(&c);
+    return status;
+}
+
+/* Element of the covariance of free components i of block a and k of block b. */
+static double element(const td_covariance *c, int a, int i, int b, int k)
+{
+    size_t n = c->n;
+    if (!c->block[a].local && !c->block[b].local)
+        return c->shared[(c->offset[a] + (size_t)i) * n + c->offset[b] + (size_t)k];
+    if (!c->block[a].local) return element(c, b, k, a, i);
+    const double *ga = c->local[a].coupling + (size_t)i * n;
+    double sum = 0;
+    if (!c->block[b].local) {
+        for (size_t j = 0; j < n; j++) sum -= ga[j] * c->shared[j * n + c->offset[b] + (size_t)k];
+        return sum;
+    }
+    const double *gb = c->local[b].coupling + (size_t)k * n;
+    for (size_t j = 0; j < n; j++) {
+        if (ga[j] == 0) continue;
+        double along = 0;
+        for (size_t l = 0; l < n; l++) along += c->shared[j * n + l] * gb[l];
+        sum += ga[j] * along;
+    }
+    if (a == b) sum += c->local[a].inverse[i * c->local[a].size + k];
+    return sum;
+}
+
+td_status td_covariance_get(double *out, const td_covariance *c, int a, int b, td_error *error)
+{
+    if (a < 0 || b < 0 || (size_t)a >= c->block_count || (size_t)b >= c->block_count)
+        return td_fail(error, TD_ERROR_ARGUMENT, "covariance of blocks %d and %d: no such block", a, b);
+    int ta = c->block[a].tangent, tb = c->block[b].tangent;
+    for (int i = 0; i < ta; i++)
+        for (int k = 0; k < tb; k++) {
+            int ia = c->column[a][i], kb = c->column[b][k];
+            out[i * tb + k] = ia < 0 || kb < 0 ? 0 : element(c, a, ia, b, kb);
+        }
+    return TD_OK;
+}
+
+size_t td_covariance_null_count(const td_covariance *c)
+{
+    return c->null_count;
+}
+
+double td_covariance_null_direction(const td_covariance *c, size_t index, int block, int component)
+{
+    if (index >= c->null_count || block < 0 || (size_t)block >= c->block_count || c->block[block].local) return 0;
+    int column = c->column[block][component];
+    return column < 0 ? 0 : c->null[index * c->n + c->offset[block] + (size_t)column];
+}
+
+double td_covariance_chi2(const td_covariance *c)
+{
+    return c->chi2;
+}
+
+size_t td_covariance_rows(const td_covariance *c)
+{
+    return c->rows;
+}
+
+size_t td_covariance_free_parameters(const td_covariance *c)
+{
+    return c->parameters - c->null_count;
+}
