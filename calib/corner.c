@@ -22,20 +22,18 @@
 
 #include "calib/corner_internal.h"
 
-enum { N = CORNER_PARAMETERS, BLOCK = 3, BLOCK_SIDE = 2 * (CORNER_MAX_RADIUS / BLOCK + 1) + 1 };
+enum { N = CORNER_PARAMETERS, LANES = CORNER_LANES, BLOCK = 3, BLOCK_SIDE = 2 * (CORNER_MAX_RADIUS / BLOCK + 1) + 1 };
 
 static const double FIRST_RADIUS = 6, USUAL_RADIUS = 10, LEAST_RADIUS = 3; /* px */
 static const double SQUARE_SHARE = 0.6; /* of the distance to the next edge */
-static const double LEAST_BLUR = 0.2;   /* px; a pixel's own width is 0.29 */
-static const double FIRST_STEP = 0.05, LAST_STEP = 2e-3; /* at which a fit ends, px */
+static const double LEAST_BLUR = 0.29; /* px: that of a pixel itself, 1 / sqrt 12 */
+static const double FIRST_STEP = 0.1, LAST_STEP = 5e-3; /* at which a fit ends, px */
 
 /* exp(-y) for 0 <= y <= 16, as the 32nd power of a short series: no branch, no table, vector code. */
 static inline float bell(float y)
 {
     float t = y * (1.0f / 32);
-    float e = 1 - t * (1 - t * (1.0f / 2) *
-                               (1 - t * (1.0f / 3) *
-                                        (1 - t * (1.0f / 4) * (1 - t * (1.0f / 5) * (1 - t * (1.0f / 6))))));
+    float e = 1 - t * (1 - t * (1.0f / 2) * (1 - t * (1.0f / 3) * (1 - t * (1.0f / 4))));
     e *= e, e *= e, e *= e, e *= e;
     return e * e;
 }
@@ -79,19 +77,21 @@ void td_corner_model(corner_window *window, const double parameter[N])
         d[CORNER_BLUR][i] = -(by_d1 * d1 + by_d2 * d2) / w;
         d[CORNER_HALF][i] = e1 * e2;
     }
+    for (int i = window->count; i % LANES; i++) {
+        window->residual[i] = 0;
+        for (int k = 0; k < N; k++) d[k][i] = 0;
+    }
 }
 
-/* Scalar product in eight fixed lanes: vector code, and the same sum on every machine. */
+/* Scalar product of whole rows of LANES, in fixed lanes: vector code, and the same sum at any width of vectors. */
 static double dot(const float *a, const float *b, int count)
 {
-    float sum[8] = {0};
-    int i = 0;
-    for (; i + 8 <= count; i += 8)
-        for (int k = 0; k < 8; k++) sum[k] += a[i + k] * b[i + k];
-    for (int k = 0; i < count; i++, k++) sum[k] += a[i] * b[i];
-    double total = 0;
-    for (int k = 0; k < 8; k++) total += (double)sum[k];
-    return total;
+    float sum[LANES] = {0};
+    for (int i = 0; i < count; i += LANES)
+        for (int k = 0; k < LANES; k++) sum[k] += a[i + k] * b[i + k];
+    for (int half = LANES / 2; half > 0; half /= 2)
+        for (int k = 0; k < half; k++) sum[k] += sum[k + half];
+    return (double)sum[0];
 }
 
 /* The pixels of the disc about `centre` (image, px), which must lie inside the image. */
@@ -111,11 +111,13 @@ static void gather(corner_window *window, const td_image *image, const double ce
     }
     window->origin[0] = cx, window->origin[1] = cy, window->count = count;
     for (int i = 0; i < count; i++) window->derivative[CORNER_MEAN][i] = 1;
+    for (int i = count; i % LANES; i++) window->grey[i] = 0;
     memcpy(window->derivative[CORNER_SLOPE_X], window->x, (size_t)count * sizeof *window->x);
     memcpy(window->derivative[CORNER_SLOPE_Y], window->y, (size_t)count * sizeof *window->y);
 }
 
-/* Lower triangle L of a = L L^T in place; false when `a` is not positive. */
+/* a := lower triangle L of a = L L^T, with the reciprocals of its diagonal in the diagonal's place; false when `a` is
+ * not positive. */
 static bool factor(double a[N][N])
 {
     for (int i = 0; i < N; i++) {
@@ -123,7 +125,7 @@ static bool factor(double a[N][N])
             double s = a[i][j];
             for (int k = 0; k < j; k++) s -= a[i][k] * a[j][k];
             if (i == j && !(s > 0)) return false;
-            a[i][j] = i == j ? sqrt(s) : s / a[j][j];
+            a[i][j] = i == j ? 1 / sqrt(s) : s * a[j][j];
         }
     }
     return true;
@@ -133,8 +135,9 @@ static bool factor(double a[N][N])
 static void forward(const double l[N][N], double b[N])
 {
     for (int i = 0; i < N; i++) {
-        for (int k = 0; k < i; k++) b[i] -= l[i][k] * b[k];
-        b[i] /= l[i][i];
+        double s = b[i];
+        for (int k = 0; k < i; k++) s -= l[i][k] * b[k];
+        b[i] = s * l[i][i];
     }
 }
 
@@ -142,8 +145,9 @@ static void forward(const double l[N][N], double b[N])
 static void backward(const double l[N][N], double b[N])
 {
     for (int i = N - 1; i >= 0; i--) {
-        for (int k = i + 1; k < N; k++) b[i] -= l[k][i] * b[k];
-        b[i] /= l[i][i];
+        double s = b[i];
+        for (int k = i + 1; k < N; k++) s -= l[k][i] * b[k];
+        b[i] = s * l[i][i];
     }
 }
 
@@ -222,40 +226,59 @@ static int block_of(int pixel, int twice_centre)
 
 /* Sums over a block and the block opposite. */
 typedef struct score {
-    double sum[2];          /* of influence times residual, px */
-    double square;          /* of the influence, over both coordinates */
-    double influence[2][N]; /* of influence times derivatives */
+    double sum[2];       /* of influence times residual, px */
+    double square;       /* of the influence, over both coordinates */
+    double shared[2][N]; /* of influence times derivatives */
 } score;
 
+/* Of each pixel on coordinate `c` of the corner, px per grey level: a row of (J^T J)^-1 J^T. */
+static void influence_of(float *influence, const double row[N], const corner_window *window)
+{
+    float r[N];
+    for (int k = 0; k < N; k++) r[k] = (float)row[k];
+    for (int i = 0; i < window->count; i++) {
+        float sum = 0;
+        for (int k = 0; k < N; k++) sum += r[k] * window->derivative[k][i];
+        influence[i] = sum;
+    }
+}
+
 /* Variances of a coordinate, px^2: for white noise of the residuals' variance, and by the block sums. */
-static bool variances(double *white, double *blocked, const fit *f, const corner_window *window)
+static bool variances(double *white, double *blocked, const fit *f, corner_window *window)
 {
     double l[N][N], row[2][N] = {{0}};
     memcpy(l, f->normal, sizeof l);
+    if (f->parameter[CORNER_BLUR] <= LEAST_BLUR) {
+        hold_blur(l, row[0]);
+        memset(window->derivative[CORNER_BLUR], 0, sizeof window->derivative[CORNER_BLUR]);
+    }
     if (window->count <= N || !factor(l)) return false;
+    float influence[2][CORNER_MAX_PIXELS];
     for (int c = 0; c < 2; c++) {
         row[c][CORNER_X + c] = 1;
         forward(l, row[c]), backward(l, row[c]);
+        influence_of(influence[c], row[c], window);
     }
-    *white = (row[0][CORNER_X] + row[1][CORNER_Y]) / 2 * f->cost / (window->count - N);
+    double unit = (row[0][CORNER_X] + row[1][CORNER_Y]) / 2;
+    *white = unit * f->cost / (window->count - N);
 
     enum { SCORES = BLOCK_SIDE * BLOCK_SIDE / 2 + 1 };
     score block[SCORES];
     memset(block, 0, sizeof block);
     int twice[2] = {(int)lround(2 * f->parameter[CORNER_X]), (int)lround(2 * f->parameter[CORNER_Y])};
     for (int i = 0; i < window->count; i++) {
+        double q[2] = {(double)influence[0][i], (double)influence[1][i]}, square = q[0] * q[0] + q[1] * q[1];
+        if (square < 1e-4 * unit) continue; /* inside a square, where nothing is learnt of the corner */
         int at = block_of((int)window->y[i], twice[1]) * BLOCK_SIDE + block_of((int)window->x[i], twice[0]);
         score *s = &block[abs(at)];
+        s->square += square;
         for (int c = 0; c < 2; c++) {
-            double influence = 0;
-            for (int k = 0; k < N; k++) influence += row[c][k] * (double)window->derivative[k][i];
-            s->sum[c] += influence * (double)window->residual[i];
-            s->square += influence * influence;
-            for (int k = 0; k < N; k++) s->influence[c][k] += influence * (double)window->derivative[k][i];
+            s->sum[c] += q[c] * (double)window->residual[i];
+            for (int k = 0; k < N; k++) s->shared[c][k] += q[c] * (double)window->derivative[k][i];
         }
     }
-    /* The fit takes its share of the noise out of the residuals: E sum^2 = sum q^2 - (sum q J) (J^T J)^-1
-     * (sum q J)^T. */
+    /* The fit takes its share of the noise out of the residuals: the expectation of sum^2 for noise of variance 1 is
+     * sum q^2 - (sum q J) (J^T J)^-1 (sum q J)^T. */
     double seen = 0, expected = 0;
     for (int b = 0; b < SCORES; b++) {
         score *s = &block[b];
@@ -263,12 +286,12 @@ static bool variances(double *white, double *blocked, const fit *f, const corner
         seen += s->sum[0] * s->sum[0] + s->sum[1] * s->sum[1];
         expected += s->square;
         for (int c = 0; c < 2; c++) {
-            forward(l, s->influence[c]);
-            for (int k = 0; k < N; k++) expected -= s->influence[c][k] * s->influence[c][k];
+            forward(l, s->shared[c]);
+            for (int k = 0; k < N; k++) expected -= s->shared[c][k] * s->shared[c][k];
         }
     }
     if (!(expected > 0)) return false;
-    *blocked = (row[0][CORNER_X] + row[1][CORNER_Y]) / 2 * seen / expected;
+    *blocked = unit * seen / expected;
     return true;
 }
 

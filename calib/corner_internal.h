@@ -17,6 +17,7 @@ enum {
     CORNER_PARAMETERS
 };
 
+enum { CORNER_LANES = 16 };                                /* of vector code; arrays are filled up with zeros */
 enum { CORNER_MAX_RADIUS = 20, CORNER_MAX_PIXELS = 1280 }; /* a disc of radius 20 holds at most 1273 pixels */
 
 /* The pixels of a disc, one array for each quantity, so that the compiler makes vector code. */

@@ -52,7 +52,8 @@ void td_mark_fit_free(td_mark_fit *fit)
     free(fit->slot);
     free(fit->pixel);
     free(fit->d_edge);
-    fit->cover = fit->d_edge = NULL;
+    fit->cover = NULL;
+    fit->d_edge = NULL;
     fit->slot = NULL;
     fit->pixel = NULL;
     fit->size = 0;
@@ -88,15 +89,28 @@ static void eigenvalues(double value[2], const double s[3])
     value[1] = half + root;
 }
 
-/* Signed distance of a pixel from the edge to first order (Sampson 1982), px; negative inside. */
-static double distance_to_edge(const double *edge, double x, double y)
+/* An ellipse for many distances: the inverse of B, and of B^2. */
+typedef struct ellipse {
+    double x, y, inverse[3], inverse2[3]; /* xx, xy, yy */
+} ellipse;
+
+static ellipse ellipse_of(const double *edge)
 {
     double xx = edge[TD_EDGE_BXX], xy = edge[TD_EDGE_BXY], yy = edge[TD_EDGE_BYY], det = xx * yy - xy * xy;
-    double dx = x - edge[TD_EDGE_CX], dy = y - edge[TD_EDGE_CY];
-    double u = (yy * dx - xy * dy) / det, v = (xx * dy - xy * dx) / det;
-    double gx = (yy * u - xy * v) / det, gy = (xx * v - xy * u) / det, slope = hypot(gx, gy);
-    double excess = 0.5 * (u * u + v * v - 1);
-    return slope > 1e-9 ? excess / slope : -DBL_MAX;
+    ellipse e = {edge[TD_EDGE_CX], edge[TD_EDGE_CY], {yy / det, -xy / det, xx / det}, {0}};
+    const double *i = e.inverse;
+    e.inverse2[0] = i[0] * i[0] + i[1] * i[1];
+    e.inverse2[1] = i[1] * (i[0] + i[2]);
+    e.inverse2[2] = i[1] * i[1] + i[2] * i[2];
+    return e;
+}
+
+/* Signed distance of a pixel from the edge to first order (Sampson 1982), px; negative inside. */
+static double distance_to_edge(const ellipse *e, double x, double y)
+{
+    double dx = x - e->x, dy = y - e->y;
+    double gx = e->inverse2[0] * dx + e->inverse2[1] * dy, gy = e->inverse2[1] * dx + e->inverse2[2] * dy;
+    return 0.5 * (gx * dx + gy * dy - 1) / sqrt(gx * gx + gy * gy + 1e-30);
 }
 
 /* The window around the ellipse with `margin` px on each side, clipped to the image. */
@@ -120,12 +134,13 @@ static bool choose_pixels(problem *p, double band, bool *memory)
     if (!place_window(p, band)) return false;
     td_window *w = &p->window;
     if (!(*memory = reserve(p->fit, (size_t)w->width * w->height))) return false;
+    const ellipse e = ellipse_of(p->p);
     p->rows = 0;
     for (int j = 0, i = 0; j < w->height; j++) {
         const uint8_t *row = p->image->data + (size_t)(w->y0 + j) * p->image->width + w->x0;
         for (int k = 0; k < w->width; k++, i++) {
             double x = w->x0 + k, y = w->y0 + j;
-            bool near = fabs(distance_to_edge(p->p, x, y)) < band;
+            bool near = fabs(distance_to_edge(&e, x, y)) < band;
             p->fit->slot[i] = near ? p->rows : -1;
             if (near) p->fit->pixel[p->rows++] = (td_mark_pixel){.index = i, .x = x, .y = y, .grey = row[k]};
         }
@@ -162,18 +177,43 @@ static void evaluate(problem *p)
     sum_cost(p);
 }
 
-/* The row of the Jacobian of a pixel's grey level. */
-static void jacobian_row(double j[PARAMETERS], const problem *p, int i)
+/* A block of the Jacobian of the grey levels, and the residuals as its last column; column-major, outliers as
+ * zeros.
+ */
+enum { BLOCK = 32 };
+typedef struct block {
+    float j[PARAMETERS + 1][BLOCK];
+} block;
+
+static void fill_block(block *b, const problem *p, int first)
 {
-    const td_mark_pixel *px = &p->fit->pixel[i];
-    const double *q = p->p, *d = p->fit->d_edge + (size_t)TD_EDGE_PARAMETERS * i;
-    double dx = px->x - p->origin[0], dy = px->y - p->origin[1], m = p->fit->cover[px->index];
-    double shade = 1 + q[SHADE_X] * dx + q[SHADE_Y] * dy, contrast = q[INSIDE] - q[OUTSIDE];
-    for (int k = 0; k < TD_EDGE_PARAMETERS; k++) j[k] = shade * contrast * d[k];
-    j[INSIDE] = shade * m;
-    j[OUTSIDE] = shade * (1 - m);
-    j[SHADE_X] = (q[OUTSIDE] + contrast * m) * dx;
-    j[SHADE_Y] = (q[OUTSIDE] + contrast * m) * dy;
+    const double *q = p->p, contrast = q[INSIDE] - q[OUTSIDE];
+    for (int i = 0; i < BLOCK; i++) {
+        const td_mark_pixel *px = &p->fit->pixel[first + i];
+        if (first + i >= p->rows || px->outlier) {
+            for (int k = 0; k <= PARAMETERS; k++) b->j[k][i] = 0;
+            continue;
+        }
+        const float *d = p->fit->d_edge + (size_t)TD_EDGE_PARAMETERS * (first + i);
+        double dx = px->x - p->origin[0], dy = px->y - p->origin[1], m = p->fit->cover[px->index];
+        double shade = 1 + q[SHADE_X] * dx + q[SHADE_Y] * dy, plain = q[OUTSIDE] + contrast * m;
+        float scale = (float)(shade * contrast);
+        for (int k = 0; k < TD_EDGE_PARAMETERS; k++) b->j[k][i] = scale * d[k];
+        b->j[INSIDE][i] = (float)(shade * m);
+        b->j[OUTSIDE][i] = (float)(shade * (1 - m));
+        b->j[SHADE_X][i] = (float)(plain * dx);
+        b->j[SHADE_Y][i] = (float)(plain * dy);
+        b->j[PARAMETERS][i] = (float)px->residual;
+    }
+}
+
+/* Four sums side by side, which the compiler may keep in vectors. */
+static double dot(const float a[BLOCK], const float b[BLOCK])
+{
+    float s[4] = {0};
+    for (int i = 0; i < BLOCK; i += 4)
+        for (int k = 0; k < 4; k++) s[k] += a[i + k] * b[i + k];
+    return (s[0] + s[1]) + (s[2] + s[3]);
 }
 
 /* h = J^T J, g = J^T r, with the prior. */
@@ -182,13 +222,12 @@ static void normal_equations(problem *p)
     double *h = p->h, *g = p->g;
     memset(h, 0, sizeof p->h);
     memset(g, 0, sizeof p->g);
-    for (int i = 0; i < p->rows; i++) {
-        if (p->fit->pixel[i].outlier) continue;
-        double j[PARAMETERS], r = p->fit->pixel[i].residual;
-        jacobian_row(j, p, i);
+    for (int first = 0; first < p->rows; first += BLOCK) {
+        block b;
+        fill_block(&b, p, first);
         for (int k = 0; k < PARAMETERS; k++) {
-            g[k] += j[k] * r;
-            for (int l = 0; l <= k; l++) h[k * PARAMETERS + l] += j[k] * j[l];
+            g[k] += dot(b.j[k], b.j[PARAMETERS]);
+            for (int l = 0; l <= k; l++) h[k * PARAMETERS + l] += dot(b.j[k], b.j[l]);
         }
     }
     for (int k = TD_EDGE_E3C; k <= TD_EDGE_E3S; k++) {
@@ -199,28 +238,34 @@ static void normal_equations(problem *p)
         for (int l = 0; l < k; l++) h[l * PARAMETERS + k] = h[k * PARAMETERS + l];
 }
 
-/* step = (h + lambda diag h)^-1 g. A blur at its lower bound that wants to fall stays. */
-static bool solve(double step[PARAMETERS], const problem *p, double lambda)
+/* step = (h + lambda diag h)^-1 g; `inverse` is that of the damped h. A blur at its lower bound that wants to
+ * fall stays. */
+static bool solve(double step[PARAMETERS], double inverse[PARAMETERS * PARAMETERS], const problem *p,
+                  double lambda)
 {
-    double a[PARAMETERS * PARAMETERS];
-    memcpy(a, p->h, sizeof a);
-    for (int k = 0; k < PARAMETERS; k++) a[k * PARAMETERS + k] *= 1 + lambda;
+    memcpy(inverse, p->h, sizeof p->h);
+    for (int k = 0; k < PARAMETERS; k++) inverse[k * PARAMETERS + k] *= 1 + lambda;
     if (p->p[TD_EDGE_BLUR] <= TD_MARK_MIN_BLUR && p->g[TD_EDGE_BLUR] < 0)
-        a[TD_EDGE_BLUR * PARAMETERS + TD_EDGE_BLUR] *= 1e12;
-    if (td_invert_spd(a, a, PARAMETERS, NULL) != TD_OK) return false;
+        inverse[TD_EDGE_BLUR * PARAMETERS + TD_EDGE_BLUR] *= 1e12;
+    if (td_invert_spd(inverse, inverse, PARAMETERS, NULL) != TD_OK) return false;
     for (int k = 0; k < PARAMETERS; k++) {
         step[k] = 0;
-        for (int l = 0; l < PARAMETERS; l++) step[k] += a[k * PARAMETERS + l] * p->g[l];
+        for (int l = 0; l < PARAMETERS; l++) step[k] += inverse[k * PARAMETERS + l] * p->g[l];
         if (!isfinite(step[k])) return false;
     }
     return true;
 }
 
+static double variance_of(const problem *p)
+{
+    return fmax(p->cost / (p->used - PARAMETERS), 1.0 / 12);
+}
+
 /* Largest move of the edge, px. */
-static double edge_move(const double step[PARAMETERS])
+static double edge_move(const double *a, const double *b)
 {
     double most = 0;
-    for (int k = TD_EDGE_CX; k <= TD_EDGE_BLUR; k++) most = fmax(most, fabs(step[k]));
+    for (int k = TD_EDGE_CX; k <= TD_EDGE_BLUR; k++) most = fmax(most, fabs(a[k] - b[k]));
     return most;
 }
 
@@ -236,44 +281,17 @@ static bool confine(problem *p)
            fabs(q[TD_EDGE_E3C]) < 0.2 && fabs(q[TD_EDGE_E3S]) < 0.2;
 }
 
-/* Descends until the edge moves by less than `tolerance` px. False when it finds no way down. */
-static bool descend(problem *p, double tolerance)
-{
-    double lambda = 1e-4;
-    normal_equations(p);
-    for (int i = 0; i < MAX_ITERATIONS; i++) {
-        double step[PARAMETERS], before[PARAMETERS], cost = p->cost;
-        if (!solve(step, p, lambda)) return false;
-        memcpy(before, p->p, sizeof before);
-        for (int k = 0; k < PARAMETERS; k++) p->p[k] += step[k];
-        bool possible = confine(p);
-        double move = edge_move(step);
-        if (possible && move < tolerance) return true;
-        if (possible) evaluate(p);
-        if (possible && p->cost <= cost) {
-            lambda *= 0.1;
-            normal_equations(p);
-        } else {
-            memcpy(p->p, before, sizeof before);
-            p->cost = cost;
-            lambda = fmax(lambda * 10, 1e-3);
-            if (lambda > 1e6) return false;
-        }
-    }
-    return false;
-}
-
 /* Grey levels inside and outside the blob: the mean of its core, the median of a ring around it. */
 static bool start_levels(problem *p)
 {
     unsigned ring[256] = {0}, total = 0, seen = 0;
-    double core = 0, count = 0, deepest = -DBL_MAX * 0.5, at_deepest = 0;
+    double core = 0, count = 0, deepest = DBL_MAX, at_deepest = 0;
     const td_window *w = &p->window;
-    deepest = DBL_MAX;
+    const ellipse e = ellipse_of(p->p);
     for (int j = 0; j < w->height; j++) {
         const uint8_t *row = p->image->data + (size_t)(w->y0 + j) * p->image->width + w->x0;
         for (int i = 0; i < w->width; i++) {
-            double d = distance_to_edge(p->p, w->x0 + i, w->y0 + j);
+            double d = distance_to_edge(&e, w->x0 + i, w->y0 + j);
             if (d > 1.5 && d < 4) ring[row[i]]++, total++;
             if (d < -1.5) core += row[i], count++;
             if (d < deepest) deepest = d, at_deepest = row[i];
@@ -293,12 +311,13 @@ static bool start_edge(problem *p)
 {
     double m[6] = {0}, across = 0;
     const td_window *w = &p->window;
+    const ellipse e = ellipse_of(p->p);
     double outside = p->p[OUTSIDE], contrast = p->p[INSIDE] - outside;
     for (int j = 0; j < w->height; j++) {
         const uint8_t *row = p->image->data + (size_t)(w->y0 + j) * p->image->width + w->x0;
         for (int i = 0; i < w->width; i++) {
             double x = w->x0 + i - p->origin[0], y = w->y0 + j - p->origin[1];
-            double d = distance_to_edge(p->p, w->x0 + i, w->y0 + j);
+            double d = distance_to_edge(&e, w->x0 + i, w->y0 + j);
             if (d > 2.5) continue;
             double v = fmin(fmax((row[i] - outside) / contrast, 0), 1);
             m[0] += v, m[1] += v * x, m[2] += v * y, m[3] += v * x * x, m[4] += v * x * y, m[5] += v * y * y;
@@ -363,20 +382,58 @@ static void mark_outliers(problem *p)
     sum_cost(p);
 }
 
-/* One fit to the pixels near the present edge. */
-static bool fit_band(problem *p, double tolerance, bool reject, bool *memory)
+/* Descends until the next step would move the centre by less than a tenth of its sigma and the edge by less
+ * than a fiftieth of a pixel; takes that step too. Outliers are told from the second step on, when the model
+ * is near. */
+static bool descend(problem *p)
 {
-    const double *q = p->p;
-    double smear = sqrt(q[TD_EDGE_BLUR] * q[TD_EDGE_BLUR] + 1.0 / 12);
-    double area = q[TD_EDGE_BXX] * q[TD_EDGE_BYY] - q[TD_EDGE_BXY] * q[TD_EDGE_BXY];
-    double variance = p->used > PARAMETERS ? p->cost / (p->used - PARAMETERS) : 1;
-    p->bulge_weight = variance / (BULGE_PER_PX * BULGE_PER_PX * area);
-    if (!choose_pixels(p, 1 + 3 * smear, memory)) return false;
-    evaluate(p);
-    double contrast = p->p[INSIDE] - p->p[OUTSIDE];
-    if (p->cost > 0.09 * contrast * contrast * p->rows) return false;
-    if (reject) mark_outliers(p);
-    return p->used > 2 * PARAMETERS && descend(p, tolerance);
+    double lambda = 1e-4;
+    normal_equations(p);
+    for (int i = 0; i < MAX_ITERATIONS; i++) {
+        double step[PARAMETERS], inverse[PARAMETERS * PARAMETERS], before[PARAMETERS], cost = p->cost;
+        if (!solve(step, inverse, p, lambda)) return false;
+        double variance = 0.5 * (inverse[0] + inverse[PARAMETERS + 1]) * variance_of(p);
+        memcpy(before, p->p, sizeof before);
+        for (int k = 0; k < PARAMETERS; k++) p->p[k] += step[k];
+        bool possible = confine(p), small = edge_move(p->p, before) < 0.02;
+        if (possible && small && i > 0 && step[0] * step[0] + step[1] * step[1] < 0.01 * variance)
+            return true;
+        if (possible) evaluate(p);
+        if (possible && p->cost <= cost) {
+            if (i == 0) mark_outliers(p);
+            lambda *= 0.1;
+            normal_equations(p);
+        } else if (small) { /* rounding: there is nothing left to gain */
+            memcpy(p->p, before, sizeof before);
+            p->cost = cost;
+            return possible;
+        } else {
+            memcpy(p->p, before, sizeof before);
+            p->cost = cost;
+            lambda = fmax(lambda * 10, 1e-3);
+            if (lambda > 1e6) return false;
+        }
+    }
+    return false;
+}
+
+/* Fits the pixels near the edge, and those near the new edge if it has moved much. */
+static bool fit_edge(problem *p, bool *memory)
+{
+    for (int round = 0; round < 4; round++) {
+        double before[PARAMETERS], *q = p->p;
+        memcpy(before, q, sizeof before);
+        double smear = sqrt(q[TD_EDGE_BLUR] * q[TD_EDGE_BLUR] + 1.0 / 12);
+        double area = q[TD_EDGE_BXX] * q[TD_EDGE_BYY] - q[TD_EDGE_BXY] * q[TD_EDGE_BXY];
+        double variance = p->used > PARAMETERS ? variance_of(p) : 1;
+        p->bulge_weight = variance / (BULGE_PER_PX * BULGE_PER_PX * area);
+        if (!choose_pixels(p, 1 + 2.5 * smear, memory)) return false;
+        evaluate(p);
+        double contrast = q[INSIDE] - q[OUTSIDE];
+        if (p->cost > 0.09 * contrast * contrast * p->rows || !descend(p)) return false;
+        if (edge_move(q, before) < 0.4) return true;
+    }
+    return false;
 }
 
 /* Is what was fitted a mark, and near the blob? */
@@ -399,7 +456,6 @@ static bool report(td_mark *mark, const problem *p, const td_blob *blob)
     double inverse[PARAMETERS * PARAMETERS];
     const double *q = p->p;
     if (td_invert_spd(inverse, p->h, PARAMETERS, NULL) != TD_OK) return false;
-    double variance = fmax(p->cost / (p->used - PARAMETERS), 1.0 / 12);
     double xx = q[TD_EDGE_BXX], xy = q[TD_EDGE_BXY], yy = q[TD_EDGE_BYY], det2 = pow(xx * yy - xy * xy, 2);
     *mark = (td_mark){
         .centre = {q[TD_EDGE_CX], q[TD_EDGE_CY]},
@@ -407,7 +463,7 @@ static bool report(td_mark *mark, const problem *p, const td_blob *blob)
         .blur = q[TD_EDGE_BLUR],
         .inside = q[INSIDE],
         .outside = q[OUTSIDE],
-        .sigma = sqrt(0.5 * variance * (inverse[0] + inverse[PARAMETERS + 1])),
+        .sigma = sqrt(0.5 * variance_of(p) * (inverse[0] + inverse[PARAMETERS + 1])),
         .centroid = {blob->centroid[0], blob->centroid[1]},
     };
     return mark->sigma > 0 && mark->sigma < 0.5;
@@ -418,8 +474,7 @@ td_status td_mark_fit_blob(td_mark *mark, bool *ok, td_mark_fit *fit, const td_i
 {
     problem p = {.fit = fit, .image = image};
     bool memory = true;
-    *ok = start(&p, blob) && fit_band(&p, 0.05, false, &memory) && fit_band(&p, 3e-3, true, &memory) &&
-          plausible(&p, blob) && report(mark, &p, blob);
+    *ok = start(&p, blob) && fit_edge(&p, &memory) && plausible(&p, blob) && report(mark, &p, blob);
     return memory ? TD_OK
                   : td_fail(error, TD_ERROR_MEMORY, "no memory to fit a mark of %.0f px^2", blob->area);
 }

@@ -65,7 +65,7 @@ typedef struct td_window {
 
 /* cover (height,width): how much of each pixel the blurred disc covers, 0 to 1; d_edge (slots,8): its
  * derivatives by the edge's parameters, added to what is there (the caller zeroes it). */
-void td_mark_cover(double *cover, double *d_edge, const td_window *window,
+void td_mark_cover(double *cover, float *d_edge, const td_window *window,
                    const double edge[TD_EDGE_PARAMETERS], const td_normal_table *table);
 
 /* A pixel that a fit looks at. */
@@ -83,7 +83,7 @@ typedef struct td_mark_fit {
     double *cover;        /* (pixels of the window) */
     int *slot;            /* (pixels of the window) */
     td_mark_pixel *pixel; /* (slots) */
-    double *d_edge;       /* (slots,8) */
+    float *d_edge;        /* (slots,8) */
     size_t size;          /* of all of these */
 } td_mark_fit;
 void td_mark_fit_free(td_mark_fit *fit);

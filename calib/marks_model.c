@@ -19,6 +19,9 @@
 
 static const double PI = 3.14159265358979323846;
 
+/* Where the Gaussian ends, in standard deviations: 2e-4 of the contrast is cut off. */
+static const double REACH = 3.5;
+
 enum { MAX_KERNEL = 2 * (4 * TD_MARK_MAX_BLUR + 1) + 2, MIN_NODES = 16, MAX_NODES = 8192 };
 
 void td_normal_table_init(td_normal_table *table)
@@ -62,22 +65,22 @@ typedef struct kernel {
 
 static void kernel_at(kernel *k, double q, double blur, int size, const td_normal_table *table)
 {
-    double reach = 4 * blur + 0.5;
+    double reach = REACH * blur + 0.5, per_blur = 1 / blur;
     int first = (int)ceil(q - reach), last = (int)floor(q + reach);
     k->first = first < 0 ? 0 : first > size ? size : first;
     k->count = (last > size - 1 ? size - 1 : last) - k->first + 1;
     if (k->count < 0) k->count = 0;
 
     double phi, density, v = q - (k->first - 0.5), share = 1;
-    normal(&phi, &density, v / blur, table);
+    normal(&phi, &density, v * per_blur, table);
     double psi = v * phi + blur * density;
     for (int i = 0; i < k->count; i++) {
         double next_phi, next_density;
         v -= 1;
-        normal(&next_phi, &next_density, v / blur, table);
+        normal(&next_phi, &next_density, v * per_blur, table);
         double next_psi = v * next_phi + blur * next_density, next_share = psi - next_psi;
         k->weight[i] = phi - next_phi;
-        k->slope[i] = (density - next_density) / blur;
+        k->slope[i] = (density - next_density) * per_blur;
         k->drop[i] = share - next_share;
         phi = next_phi;
         density = next_density;
@@ -90,7 +93,7 @@ static void kernel_at(kernel *k, double q, double blur, int size, const td_norma
 /* The edge at one parameter t: position, tangent times dt, and the sweeps of the edge's parameters. */
 typedef struct node {
     double q[2], tangent[2];
-    double sweep[TD_EDGE_PARAMETERS]; /* dq/dtheta x dq; of the blur: 0 */
+    float sweep[TD_EDGE_PARAMETERS]; /* dq/dtheta x dq; of the blur: 0 */
 } node;
 
 static node node_at(const double edge[TD_EDGE_PARAMETERS], double c, double s, double dt)
@@ -106,19 +109,21 @@ static node node_at(const double edge[TD_EDGE_PARAMETERS], double c, double s, d
     double tx = (r * du[0] + dr * u[0]) * dt, ty = (r * du[1] + dr * u[1]) * dt;
     n.tangent[0] = tx;
     n.tangent[1] = ty;
-    n.sweep[TD_EDGE_CX] = ty;
-    n.sweep[TD_EDGE_CY] = -tx;
-    n.sweep[TD_EDGE_BXX] = r * c * ty;
-    n.sweep[TD_EDGE_BXY] = r * (s * ty - c * tx);
-    n.sweep[TD_EDGE_BYY] = -r * s * tx;
-    n.sweep[TD_EDGE_BLUR] = 0;
-    n.sweep[TD_EDGE_E3C] = c3 * (u[0] * ty - u[1] * tx);
-    n.sweep[TD_EDGE_E3S] = s3 * (u[0] * ty - u[1] * tx);
+    const double sweep[TD_EDGE_PARAMETERS] = {
+        [TD_EDGE_CX] = ty,
+        [TD_EDGE_CY] = -tx,
+        [TD_EDGE_BXX] = r * c * ty,
+        [TD_EDGE_BXY] = r * (s * ty - c * tx),
+        [TD_EDGE_BYY] = -r * s * tx,
+        [TD_EDGE_E3C] = c3 * (u[0] * ty - u[1] * tx),
+        [TD_EDGE_E3S] = s3 * (u[0] * ty - u[1] * tx),
+    };
+    for (int k = 0; k < TD_EDGE_PARAMETERS; k++) n.sweep[k] = (float)sweep[k];
     return n;
 }
 
 /* Adds one node's share; of the coverage, the drops from each pixel to the next on its right. */
-static void add_node(double *drop, double *d_edge, const td_window *window, const node *n, double blur,
+static void add_node(double *drop, float *d_edge, const td_window *window, const node *n, double blur,
                      const kernel *kx, const kernel *ky)
 {
     for (int j = 0; j < ky->count; j++) {
@@ -130,15 +135,15 @@ static void add_node(double *drop, double *d_edge, const td_window *window, cons
             drop[row + i] += kx->drop[i + 1] * along_y;
             int slot = window->slot ? window->slot[row + i] : (int)row + i;
             if (slot < 0) continue;
-            double *d = d_edge + TD_EDGE_PARAMETERS * (size_t)slot;
-            double weight = kx->weight[i] * ky->weight[j];
+            float *d = d_edge + TD_EDGE_PARAMETERS * (size_t)slot;
+            float weight = (float)(kx->weight[i] * ky->weight[j]);
             for (int k = 0; k < TD_EDGE_PARAMETERS; k++) d[k] += weight * n->sweep[k];
-            d[TD_EDGE_BLUR] += kx->slope[i] * bend_x - kx->weight[i] * bend_y;
+            d[TD_EDGE_BLUR] += (float)(kx->slope[i] * bend_x - kx->weight[i] * bend_y);
         }
     }
 }
 
-void td_mark_cover(double *cover, double *d_edge, const td_window *window,
+void td_mark_cover(double *cover, float *d_edge, const td_window *window,
                    const double edge[TD_EDGE_PARAMETERS], const td_normal_table *table)
 {
     const double blur = edge[TD_EDGE_BLUR];

@@ -201,14 +201,14 @@ static inline bool to_plane(double plane[2], double jacobian[6], td_camera_model
         return true;
     }
     /* h = theta/rho, g = (dh/drho)/rho. Near the axis both are series in t^2 = (rho/z)^2: the closed form of
-     * g loses digits by cancellation, and has 0/0 at the axis. The remainders are under 1e-15. */
+     * g loses digits by cancellation, and is 0/0 on it. What is left out changes the Jacobian by
+     * less than 1e-15. */
     const double rho2 = x * x + y * y, n2 = rho2 + z * z;
     double h, g;
     if (z > 0 && rho2 < 2.5e-3 * z * z) {
         const double t = rho2 / (z * z);
         h = (1 - t * (1. / 3 - t * (1. / 5 - t * (1. / 7 - t * (1. / 9 - t / 11))))) / z;
-        g = -(2. / 3 - t * (4. / 5 - t * (6. / 7 - t * (8. / 9 - t * (10. / 11 - t * 12 / 13))))) /
-            (z * z * z);
+        g = -(2. / 3 - t * (4. / 5 - t * (6. / 7 - t * (8. / 9 - t * 10 / 11)))) / (z * z * z);
     } else {
         const double rho = sqrt(rho2);
         if (!(rho > 0)) return false;
@@ -234,13 +234,12 @@ static void from_plane(double ray[3], double jacobian[6], td_camera_model model,
         memcpy(jacobian, j, sizeof j);
         return;
     }
-    /* s = sin(theta)/theta, q = (ds/dtheta)/theta; their series, with remainders under 1e-15, near the axis.
-     */
+    /* s = sin(theta)/theta, q = (ds/dtheta)/theta; near the axis, where q loses digits, their series. */
     double s, q;
     const double theta = sqrt(w);
     if (w < 0.01) {
         s = 1 - w * (1. / 6 - w * (1. / 120 - w * (1. / 5040 - w / 362880)));
-        q = -1. / 3 + w * (1. / 30 - w * (1. / 840 - w * (1. / 45360 - w / 3991680)));
+        q = -1. / 3 + w * (1. / 30 - w * (1. / 840 - w / 45360));
     } else {
         s = sin(theta) / theta;
         q = (cos(theta) - s) / w;

@@ -236,7 +236,7 @@ static td_status unknown_key(const td_field *field, const char *key, const char 
         size_t used = strlen(list);
         snprintf(list + used, sizeof list - used, "%s%s", i ? ", " : "", keys[i]);
     }
-    return td_field_fail(field, error, "unknown key '%s'; known here are %s", shown, list);
+    return td_field_fail(field, error, "unknown key '%s'; known here are %s", shown, *list ? list : "none");
 }
 
 td_status td_field_check_keys(const td_field *field, const char *const keys[], td_error *error)

@@ -76,6 +76,15 @@ static void add_quoted(td_text *out, const char *text, size_t size)
     td_text_add(out, "\"", 1);
 }
 
+void td_document_add_word(td_text *out, const char *text)
+{
+    const size_t size = strlen(text);
+    if (is_word(text))
+        td_text_add(out, text, size);
+    else
+        add_quoted(out, text, size);
+}
+
 static td_status add_string(writer *w, const char *text, size_t size)
 {
     char shown[TD_SHOWN_SIZE];

@@ -105,8 +105,8 @@ TD_API void td_covariance_free(td_covariance **covariance);
 /* Covariance (ta,tb), row-major, of two blocks' tangents; rows of held components are 0. Along null directions it is
  * that of the other directions only: ask for them first. */
 TD_API td_status td_covariance_get(double *out, const td_covariance *covariance, int a, int b, td_error *error);
-/* Directions in the shared blocks' free components along which the residuals do not change at all (relative curvature
- * below 1e-13 after scaling each parameter to unit curvature). */
+/* Directions in the shared blocks' free components along which the residuals do not change at all, once the local blocks
+ * follow (curvature below 1e-13, each parameter scaled to unit curvature with the local blocks held). */
 TD_API size_t td_covariance_null_count(const td_covariance *covariance);
 /* Component of null direction `index` along component `component` of `block`; units of the block. */
 TD_API double td_covariance_null_direction(const td_covariance *covariance, size_t index, int block, int component);

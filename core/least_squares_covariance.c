@@ -14,7 +14,7 @@
 #include "core/least_squares_internal.h"
 #include "core/linalg.h"
 
-/* Relative curvature, each parameter scaled to unit curvature, below which a direction counts as null. */
+/* Curvature, each parameter scaled to unit curvature with the local blocks held, below which a direction counts as null. */
 #define NULL_CURVATURE 1e-13
 
 typedef struct local_part {
@@ -30,7 +30,8 @@ struct td_covariance {
     local_part *local; /* (block_count) */
     int (*column)[TD_MAX_BLOCK_SIZE]; /* (block_count) component to free component, -1: held */
     size_t n;          /* shared columns */
-    double *shared;    /* C_ss (n,n) */
+    double *shared;    /* N_ss, then S, then C_ss (n,n) */
+    double *scale;     /* (n) 1/sqrt of N_ss' diagonal */
     size_t null_count;
     double *null;      /* (null_count,n) */
     double chi2;
@@ -51,6 +52,7 @@ void td_covariance_free(td_covariance **covariance)
     free(c->local);
     free(c->column);
     free(c->shared);
+    free(c->scale);
     free(c->null);
     free(c);
     *covariance = NULL;
@@ -87,7 +89,9 @@ static td_status lay_out(td_covariance *c, const td_problem *problem, const td_c
             c->n += (size_t)free_components;
         }
     }
-    bool enough = (c->shared = calloc(c->n * c->n + 1, sizeof *c->shared));
+    c->shared = calloc(c->n * c->n + 1, sizeof *c->shared);
+    c->scale = calloc(c->n + 1, sizeof *c->scale);
+    bool enough = c->shared && c->scale;
     for (size_t i = 0; i < c->block_count && enough; i++) {
         if (!c->local[i].size) continue;
         size_t size = (size_t)c->local[i].size;
@@ -157,6 +161,7 @@ static td_status accumulate(td_covariance *c, const td_problem *problem, td_erro
 static td_status eliminate(td_covariance *c, td_error *error)
 {
     size_t n = c->n;
+    for (size_t i = 0; i < n; i++) c->scale[i] = c->shared[i * (n + 1)] > 0 ? 1 / sqrt(c->shared[i * (n + 1)]) : 1;
     for (size_t v = 0; v < c->block_count; v++) {
         local_part *l = &c->local[v];
         if (!l->size) continue;
@@ -189,14 +194,14 @@ static td_status pseudo_inverse(double *out, td_covariance *c, const double *s, 
     double *work = malloc((2 * n * n + 2 * n) * sizeof *work);
     if (!work) return td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance of %zu parameters", n);
     double *scaled = work, *vector = work + n * n, *value = vector + n * n, *d = value + n;
-    for (size_t i = 0; i < n; i++) d[i] = s[i * n + i] > 0 ? 1 / sqrt(s[i * n + i]) : 1;
+    for (size_t i = 0; i < n; i++) d[i] = c->scale[global[i]];
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < n; j++) scaled[i * n + j] = s[i * n + j] * d[i] * d[j];
     td_status status = td_eigen_symmetric(value, vector, scaled, n, error);
     memset(out, 0, n * n * sizeof *out);
     for (size_t k = 0; k < n && status == TD_OK; k++) {
         const double *v = vector + k * n;
-        if (value[k] > NULL_CURVATURE * value[n - 1]) {
+        if (value[k] > NULL_CURVATURE) {
             for (size_t i = 0; i < n; i++)
                 for (size_t j = 0; j < n; j++) out[i * n + j] += v[i] * v[j] / value[k] * d[i] * d[j];
             continue;

@@ -16,7 +16,8 @@ void td_markup_raw(td_text *m, const char *markup);
 /* Text, escaped for content and for attributes; bytes that are not UTF-8, and control characters, become
  * U+FFFD. NULL: nothing. */
 void td_markup_text(td_text *m, const char *text);
-/* The same, cut to `limit` characters, the last of which is then an ellipsis. */
+/* The same in `limit` characters at most (2 or more): of a longer text the head and the tail, for names often
+ * differ at their end. */
 void td_markup_text_cut(td_text *m, const char *text, size_t limit);
 /* Characters of a text (not bytes). */
 size_t td_markup_length(const char *text);
@@ -24,6 +25,7 @@ size_t td_markup_length(const char *text);
 void td_markup_coordinate(td_text *m, double value);
 /* "x y", with a command of an SVG path before it unless that is 0. */
 void td_markup_point(td_text *m, char command, const double p[2]);
+/* 12 345 */
 void td_markup_count(td_text *m, size_t value);
 /* A finite value with four digits, the same in every locale. */
 void td_markup_value(td_text *m, double value);
@@ -81,13 +83,13 @@ typedef struct td_drawn {
 bool td_drawable(double value);
 /* The factor of a series' vectors: 1 when it was left at 0 or is not finite. */
 double td_series_vector_scale(const td_series *s);
-/* Refuses series without coordinates. */
+/* Refuses series without coordinates or of no known shape. */
 bool td_series_check(td_report *report, const char *what, const td_series *series, size_t count);
 /* One group of SVG for each series. */
 void td_series_draw(td_text *m, td_drawn *drawn, const td_view *view, const td_series *series, size_t count);
 /* The legend as an HTML list; nothing when no series has an entry. */
 void td_series_legend(td_text *m, const td_series *series, size_t count);
-/* "Detected, 54 points; …" for the description of a drawing. */
+/* "detected, crosses (54 values); …" for the description of a drawing. */
 void td_series_describe(td_text *m, const td_series *series, size_t count);
 /* What a reader must know of values that are not drawn. */
 void td_series_note(td_text *m, const td_drawn *drawn);

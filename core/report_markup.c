@@ -57,23 +57,35 @@ static void add_character(td_text *m, unsigned code, const char *bytes, size_t l
     }
 }
 
-void td_markup_text_cut(td_text *m, const char *text, size_t limit)
+/* `count` characters at most; what follows them is returned. */
+static const char *add_characters(td_text *m, const char *text, size_t count)
 {
-    if (!text) return;
-    bool cut = td_markup_length(text) > limit;
-    for (size_t i = 0; *text && i + cut < limit; i++) {
+    for (; *text && count; count--) {
         unsigned code;
         size_t length = next_character(&code, text);
         if (!is_text(code)) code = REPLACEMENT;
-        add_character(m, code, text, length);
+        if (m) add_character(m, code, text, length);
         text += length;
     }
-    if (cut) td_markup_raw(m, "…");
+    return text;
 }
 
 void td_markup_text(td_text *m, const char *text)
 {
-    td_markup_text_cut(m, text, SIZE_MAX);
+    if (text) add_characters(m, text, SIZE_MAX);
+}
+
+void td_markup_text_cut(td_text *m, const char *text, size_t limit)
+{
+    size_t length = td_markup_length(text);
+    if (length <= limit) {
+        td_markup_text(m, text);
+        return;
+    }
+    size_t tail = limit / 2, head = limit - tail - 1;
+    add_characters(m, text, head);
+    td_markup_raw(m, "…");
+    td_markup_text(m, add_characters(NULL, text, length - tail));
 }
 
 size_t td_markup_length(const char *text)
@@ -109,9 +121,13 @@ void td_markup_point(td_text *m, char command, const double p[2])
 
 void td_markup_count(td_text *m, size_t value)
 {
-    char text[32];
-    snprintf(text, sizeof text, "%zu", value);
-    td_markup_raw(m, text);
+    char digits[32];
+    int length = snprintf(digits, sizeof digits, "%zu", value);
+    for (int i = 0; i < length; i++) {
+        /* Thousands apart by a narrow blank, from five digits on. */
+        if (i && length > 4 && (length - i) % 3 == 0) td_markup_raw(m, "\u202F");
+        td_text_add(m, digits + i, 1);
+    }
 }
 
 void td_markup_value(td_text *m, double value)

@@ -19,14 +19,16 @@ static const double spill = 3;
 static const double least_share = 1e-9;
 
 /* How a plot is drawn for the width of its column. */
-typedef struct format {
+typedef struct plot_format {
     const char *class_name;
     double width, height, tall; /* px: whole width; height of the axes, and at most with equal units */
-    double glyph, line;         /* px: a character's width, a line's height */
-} format;
+    double line;                /* px: the height of a line */
+    double glyph, name_glyph;   /* px: the width of a character, and of one of a name */
+} plot_format;
 
-static const format formats[] = {
-    {"full", 860, 340, 560, 12.3, 22}, {"half", 500, 320, 440, 9, 19}, {"third", 350, 260, 320, 8.3, 17}};
+static const plot_format formats[] = {{"full", 860, 340, 560, 24, 13, 10.5},
+                                      {"half", 500, 320, 440, 19, 9, 8},
+                                      {"third", 350, 260, 320, 17, 8.3, 8}};
 
 typedef struct axis {
     double min, max;
@@ -41,7 +43,7 @@ typedef struct axis {
 } axis;
 
 typedef struct layout {
-    const format *format;
+    const plot_format *format;
     axis x, y;
     double left, top, width, height; /* of the axes, px */
     double total_width, total_height;
@@ -185,7 +187,7 @@ static size_t longest_label(const axis *a)
 }
 
 /* Names stand at the whole numbers: every one, or as many as have room. */
-static double plan_names(axis *a, const format *f)
+static double plan_names(axis *a, const plot_format *f)
 {
     double slot = a->length / (a->max - a->min);
     size_t longest = 0;
@@ -196,17 +198,17 @@ static double plan_names(axis *a, const format *f)
         if (length > longest) longest = length;
     }
     if (longest > NAME_CHARACTERS) longest = NAME_CHARACTERS;
-    a->rotated = (double)(longest + 1) * f->glyph > slot;
+    a->rotated = (double)(longest + 1) * f->name_glyph > slot;
     a->mantissa = 1;
     /* Slanted at 45°, names lie √2 of a line's height apart. */
     static const int every[] = {1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000};
     for (size_t i = 0; i < sizeof every / sizeof *every && a->mantissa * slot < 1.1 * f->line; i++)
         a->mantissa = every[i];
-    return (double)longest * f->glyph;
+    return (double)longest * f->name_glyph;
 }
 
 /* Numbers along x; their number shrinks until the labels stand apart. */
-static void plan_numbers(axis *a, const format *f)
+static void plan_numbers(axis *a, const plot_format *f)
 {
     double spacing = 6 * f->glyph;
     for (int i = 0; i < LABEL_TRIES; i++) {
@@ -230,15 +232,29 @@ static void limit_shape(axis *x, axis *y)
     narrow->max += more;
 }
 
+/* The room left of the axes: the label and the longest number. */
 static double left_margin(const layout *l, const td_axes *axes)
 {
-    const format *f = l->format;
-    return (axes->y_label || l->y.factor ? f->line + 4 : 4) + (double)longest_label(&l->y) * 0.9 * f->glyph +
-           8;
+    const plot_format *f = l->format;
+    return (axes->y_label || l->y.factor ? f->line + 4 : 4) + (double)longest_label(&l->y) * f->glyph + 8;
+}
+
+/* Plans names along x; returns the room that they take below the axes. */
+static double place_names(layout *l)
+{
+    double longest = 0.71 * plan_names(&l->x, l->format), slot = l->width / (l->x.max - l->x.min);
+    if (!l->x.rotated) return l->format->line + 8;
+    /* The first name reaches out to the left. */
+    double overhang = longest - l->left - slot * ((double)l->x.first - l->x.min);
+    if (overhang > 0) {
+        l->left += overhang;
+        l->width = l->x.length = fmax(l->width - overhang, 60);
+    }
+    return longest + 0.8 * l->format->line + 6;
 }
 
 static void plan_layout(layout *l, const td_axes *axes, const td_series *series, size_t count,
-                        const format *f)
+                        const plot_format *f)
 {
     *l = (layout){.format = f, .top = 10, .bar_gap = bar_gap(axes, series, count)};
     double x[2], y[2], right = 2.5 * f->glyph;
@@ -265,22 +281,12 @@ static void plan_layout(layout *l, const td_axes *axes, const td_series *series,
         plan_ticks(&l->y, 1.9 * f->line);
     }
     l->x.length = l->width;
-    double below = f->line + 8;
-    if (l->x.name_count) {
-        double longest = plan_names(&l->x, f);
-        if (l->x.rotated) {
-            below = 0.71 * longest + 0.8 * f->line + 6;
-            /* The first name reaches out to the left. */
-            double slot = l->width / (l->x.max - l->x.min);
-            double overhang = 0.71 * longest - l->left - slot * ((double)l->x.first - l->x.min);
-            if (overhang > 0) {
-                l->left += overhang;
-                l->width = l->x.length = fmax(l->width - overhang, 60);
-            }
-        }
-    } else {
+    double below = f->line + 8, label = l->left - 0.75 * f->line;
+    if (l->x.name_count)
+        below = place_names(l);
+    else
         plan_numbers(&l->x, f);
-    }
+    l->y_label = l->left - label;
     l->total_width = l->left + l->width + right;
     l->total_height = l->top + l->height + below + (axes->x_label || l->x.factor ? f->line : 0) + 2;
 }
@@ -298,6 +304,12 @@ static void add_line(td_text *m, const double from[2], char command, double leng
     td_markup_point(m, 'M', from);
     td_text_add(m, &command, 1);
     td_markup_coordinate(m, length);
+}
+
+/* Whether a line of 0 is worth drawing: inside, and clear of the frame. */
+static bool is_within(double position, double length)
+{
+    return position > 8 && position < length - 8;
 }
 
 static void add_grid(td_text *m, const layout *l, bool y_up)
@@ -320,10 +332,9 @@ static void add_grid(td_text *m, const layout *l, bool y_up)
     td_markup_raw(m, "h");
     td_markup_coordinate(m, -l->width);
     td_markup_raw(m, "z\"/><path class=\"zero\" d=\"");
-    if (l->y.min < 0 && l->y.max > 0)
-        add_line(m, (double[]){l->left, l->top + at(&l->y, 0, y_up)}, 'h', l->width);
-    if (l->x.min < 0 && l->x.max > 0 && !l->x.name_count)
-        add_line(m, (double[]){l->left + at(&l->x, 0, false), l->top}, 'v', l->height);
+    double zero[2] = {l->x.name_count ? 0 : at(&l->x, 0, false), at(&l->y, 0, y_up)};
+    if (is_within(zero[1], l->height)) add_line(m, (double[]){l->left, l->top + zero[1]}, 'h', l->width);
+    if (is_within(zero[0], l->width)) add_line(m, (double[]){l->left + zero[0], l->top}, 'v', l->height);
     td_markup_raw(m, "\"/>\n");
 }
 
@@ -361,7 +372,7 @@ static void add_number_labels(td_text *m, const layout *l, bool y_up)
 static void add_names(td_text *m, const layout *l)
 {
     if (!l->x.name_count) return;
-    td_text_format(m, "<g class=\"%s\">", l->x.rotated ? "end" : "mid");
+    td_text_format(m, "<g class=\"names %s\">", l->x.rotated ? "end" : "mid");
     for (long long k = l->x.first; k <= l->x.last; k += l->x.mantissa) {
         double x = l->left + at(&l->x, (double)k, false), y = l->top + l->height + 7;
         if (l->x.rotated) {
@@ -378,7 +389,7 @@ static void add_names(td_text *m, const layout *l)
 }
 
 /* An axis' label, and the power of ten in which its numbers count. */
-static void add_axis_label(td_text *m, const char *label, int factor, double room, const format *f)
+static void add_axis_label(td_text *m, const char *label, int factor, double room, const plot_format *f)
 {
     td_markup_text_cut(m, label, (size_t)fmax(room / (0.8 * f->glyph), 8));
     if (!factor) return;
@@ -399,7 +410,7 @@ static void add_axis_labels(td_text *m, const layout *l, const td_axes *axes)
     }
     if (axes->y_label || l->y.factor) {
         td_markup_raw(m, "<text class=\"mid name\" transform=\"translate(");
-        td_markup_point(m, 0, (double[]){0.75 * l->format->line, l->top + l->height / 2});
+        td_markup_point(m, 0, (double[]){l->y_label, l->top + l->height / 2});
         td_markup_raw(m, ") rotate(-90)\">");
         add_axis_label(m, axes->y_label, l->y.factor, l->height + 40, l->format);
         td_markup_raw(m, "</text>\n");
@@ -486,7 +497,7 @@ void td_report_plot(td_report *report, const td_axes *axes, const td_series *ser
     const td_axes none = {0};
     if (!axes) axes = &none;
     bool y_up = !axes->y_down;
-    const format *f = formats + (report->grid_columns > 2 ? 2 : report->grid_columns - 1);
+    const plot_format *f = formats + (report->grid_columns > 2 ? 2 : report->grid_columns - 1);
     layout l;
     plan_layout(&l, axes, series, count, f);
 

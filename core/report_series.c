@@ -18,6 +18,7 @@ enum {
     FEW_MARKS = 30,
     SOME_MARKS = 1500,
     MANY_MARKS = 5000,
+    DENSE_LINE = 2000,
     LINE_VALUES = 8000,
     LINE_RUNS = 2000,
     BAR_VALUES = 4000,
@@ -46,6 +47,10 @@ bool td_series_check(td_report *report, const char *what, const td_series *serie
     }
     for (size_t i = 0; i < count; i++) {
         const td_series *s = series + i;
+        if (s->shape > TD_SHAPE_BAR) {
+            td_report_fail(report, TD_ERROR_ARGUMENT, "series %zu of %s has an unknown shape", i, what);
+            return false;
+        }
         if ((s->count && (!s->x || !s->y)) || !s->dx != !s->dy) {
             td_report_fail(report, TD_ERROR_ARGUMENT, "series %zu (%s) of %s lacks %s", i,
                            s->label ? s->label : "no label", what,
@@ -73,11 +78,11 @@ static bool is_inside(const td_view *v, const double p[2])
            p[1] <= v->top + v->height + border;
 }
 
-/* The end of the vector of value i; false when it has none. */
+/* The end of the vector of value i; false when it has no place. */
 static bool place_tip(double tip[2], const td_view *v, const td_series *s, size_t i)
 {
     double scale = td_series_vector_scale(s);
-    return s->dx && place(tip, v, s->x[i] + scale * s->dx[i], s->y[i] + scale * s->dy[i]);
+    return place(tip, v, s->x[i] + scale * s->dx[i], s->y[i] + scale * s->dy[i]);
 }
 
 /* Cuts the segment a–b to the view with a border (Liang and Barsky 1984), so that no coordinate in the file
@@ -111,7 +116,7 @@ static bool clip(double a[2], double b[2], bool *cut, const td_view *v)
 
 /* A polyline drawn value by value. */
 typedef struct pen {
-    td_text *d;
+    td_text *d, *dots;
     const td_view *view;
     double last[2];
     size_t count;  /* values of this stroke so far */
@@ -134,8 +139,8 @@ static void pen_to(pen *p, const double q[2])
 static void pen_lift(pen *p)
 {
     if (p->count == 1 && is_inside(p->view, p->last)) {
-        td_markup_point(p->d, 'M', p->last);
-        td_markup_raw(p->d, "h0");
+        td_markup_point(p->dots, 'M', p->last);
+        td_markup_raw(p->dots, "h0");
     }
     p->count = 0;
     p->is_there = false;
@@ -162,9 +167,9 @@ static void pen_run(pen *p, const td_series *s, size_t begin, size_t end, size_t
     }
 }
 
-static void draw_line(td_text *d, td_drawn *drawn, const td_view *v, const td_series *s)
+static void draw_line(td_text *d, td_text *dots, td_drawn *drawn, const td_view *v, const td_series *s)
 {
-    pen p = {.d = d, .view = v};
+    pen p = {.d = d, .dots = dots, .view = v};
     size_t runs = s->count > LINE_VALUES ? LINE_RUNS : s->count;
     if (runs < s->count) drawn->thinned += s->count;
     for (size_t r = 0; r < runs; r++) {
@@ -306,7 +311,11 @@ static void draw_marks(td_text *marks, td_text *vectors, td_drawn *drawn, const 
         }
         if (!placed || (inside && r.owner && *raster_at(&r, v, p) != i + 1)) continue;
         if (has_marks && inside) draw_mark(marks, v, s->shape, p);
-        if (place_tip(tip, v, s, i)) draw_vector(vectors, v, p, tip);
+        if (!s->dx) continue;
+        if (place_tip(tip, v, s, i))
+            draw_vector(vectors, v, p, tip);
+        else
+            drawn->missing++;
     }
     free(r.owner);
 }
@@ -333,7 +342,7 @@ static char series_class(const td_series *series, size_t index)
 
 static const char *mark_class(const td_series *s)
 {
-    if (s->shape == TD_SHAPE_LINE) return "line";
+    if (s->shape == TD_SHAPE_LINE) return s->count > DENSE_LINE ? "dense" : "line";
     if (s->shape == TD_SHAPE_BAR) return "bar";
     if (s->shape == TD_SHAPE_CROSS) return "cross";
     return s->dx || s->count > SOME_MARKS ? "point many" : s->count > FEW_MARKS ? "point" : "point few";
@@ -357,8 +366,8 @@ void td_series_draw(td_text *m, td_drawn *drawn, const td_view *view, const td_s
     for (size_t i = 0; i < count; i++) bars += series[i].shape == TD_SHAPE_BAR;
     for (size_t i = 0; i < count && !m->failed; i++) {
         const td_series *s = series + i;
-        td_text marks = {0}, vectors = {0};
-        if (s->shape == TD_SHAPE_LINE) draw_line(&marks, drawn, view, s);
+        td_text marks = {0}, vectors = {0}, dots = {0};
+        if (s->shape == TD_SHAPE_LINE) draw_line(&marks, &dots, drawn, view, s);
         if (s->shape == TD_SHAPE_BAR)
             draw_bars(&marks, drawn, view, s, ((double)bar++ - 0.5 * (double)(bars - 1)) * view->bar_width);
         if (s->dx || s->shape == TD_SHAPE_POINT || s->shape == TD_SHAPE_CROSS)
@@ -366,6 +375,7 @@ void td_series_draw(td_text *m, td_drawn *drawn, const td_view *view, const td_s
         td_text_format(m, "<g class=\"s c%c\">", series_class(series, i));
         add_path(m, "vector", &vectors);
         add_path(m, mark_class(s), &marks);
+        add_path(m, "point", &dots);
         td_markup_raw(m, "</g>\n");
     }
 }
@@ -424,31 +434,37 @@ void td_series_describe(td_text *m, const td_series *series, size_t count)
     static const char *const noun[] = {"points", "crosses", "line", "bars"};
     for (size_t i = 0; i < count; i++) {
         const td_series *s = series + i;
-        td_markup_raw(m, i ? "; " : "");
+        if (i) td_markup_raw(m, "; ");
         if (has_entry(s)) {
             add_label(m, s);
-            td_markup_raw(m, ": ");
+            td_markup_raw(m, ", ");
         }
-        td_text_format(m, "%s of %zu values",
-                       s->dx                      ? "vectors"
-                       : s->shape <= TD_SHAPE_BAR ? noun[s->shape]
-                                                  : "",
-                       s->count);
+        td_markup_raw(m, s->dx ? "vectors" : noun[s->shape]);
+        td_markup_raw(m, " (");
+        td_markup_count(m, s->count);
+        td_markup_raw(m, s->count == 1 ? " value)" : " values)");
     }
     td_markup_raw(m, count ? "." : "nothing.");
+}
+
+static void add_count(td_text *m, size_t count, const char *one, const char *several)
+{
+    if (!count) return;
+    td_markup_count(m, count);
+    td_markup_raw(m, count == 1 ? one : several);
 }
 
 void td_series_note(td_text *m, const td_drawn *drawn)
 {
     if (!drawn->missing && !drawn->outside && !drawn->thinned) return;
     td_markup_raw(m, "<p class=\"note\">");
-    if (drawn->missing)
-        td_text_format(m, "%zu value%s not finite and not drawn. ", drawn->missing,
-                       drawn->missing == 1 ? " is" : "s are");
-    if (drawn->outside)
-        td_text_format(m, "%zu value%s outside this view. ", drawn->outside,
-                       drawn->outside == 1 ? " lies" : "s lie");
-    if (drawn->thinned)
-        td_text_format(m, "Of %zu values, those that would hide one another are drawn once.", drawn->thinned);
+    add_count(m, drawn->missing, " value is not finite and not drawn. ",
+              " values are not finite and not drawn. ");
+    add_count(m, drawn->outside, " value lies outside this view. ", " values lie outside this view. ");
+    if (drawn->thinned) {
+        td_markup_raw(m, "Thinned out: of ");
+        td_markup_count(m, drawn->thinned);
+        td_markup_raw(m, " values, those that would hide one another are drawn once.");
+    }
     td_markup_raw(m, "</p>\n");
 }

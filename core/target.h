@@ -1,8 +1,8 @@
 /* Calibration targets: what is printed on the board, in metres.
  *
- * Target frame: origin at the first point, x along the columns, y along the rows, z into the board, so that a board
- * facing the camera upright has the camera's axes. Point k is row k / columns, column k % columns of its plane;
- * planes follow one another. */
+ * Target frame: origin at the first point, x along the columns, y along the rows, z into the board, so that a
+ * board facing the camera upright has the camera's axes. Point k is row k / columns, column k % columns of
+ * its plane; planes follow one another. */
 #ifndef TELEDIMOS_CORE_TARGET_H
 #define TELEDIMOS_CORE_TARGET_H
 
@@ -43,13 +43,15 @@ typedef struct td_target {
 
 TD_API const char *td_target_kind_name(td_target_kind kind); /* "chessboard", "marks"; NULL if none */
 TD_API size_t td_target_point_count(const td_target *target);
-/* Point `index` in the target frame, m. */
+/* Point `index` in the target frame, m; NaN when there is none. */
 TD_API void td_target_point(double p[3], const td_target *target, size_t index);
-/* Which plane point `index` lies on, and the index of that plane's first point. */
+/* Which plane point `index` lies on (-1: there is no such point), and the index of that plane's first point
+ * (may be NULL). */
 TD_API int td_target_plane_of(const td_target *target, size_t index, size_t *first);
 /* True when all points lie on one plane. */
 TD_API bool td_target_is_flat(const td_target *target);
-/* Refuses what cannot be a target, naming the field. */
+/* Refuses what cannot be a target, naming the field: sides of 2 (chessboard: 3) to 200, spacing of 0.1 mm to
+ * 10 m, marks that overlap, poses that are none. */
 TD_API td_status td_target_check(const td_target *target, td_error *error);
 /* "chessboard 9x6, 25 mm", for people. Writes at most `size` bytes and returns `text`. */
 TD_API char *td_target_describe(char *text, size_t size, const td_target *target);

@@ -1,0 +1,315 @@
+/* teledimos calibrate: a dataset's images to a rig. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "apps/calibrate_internal.h"
+#include "apps/cli.h"
+#include "apps/terminal.h"
+#include "core/document.h"
+#include "core/file.h"
+#include "core/hash.h"
+#include "core/linalg.h"
+
+static const char *dataset_path;
+static cli_common common;
+static cli_list fixes, gates;
+static const char *rig_path, *clicks_path, *method = "auto", *warp = "auto", *model;
+static bool plain, accept, no_leave_one_out, print_schema;
+static int seed;
+
+static const char *const methods[] = {"auto", "homography", "visp", "faugeras-toscani", NULL};
+static const char *const warps[] = {"auto", "on", "off", NULL};
+static const char *const models[] = {"pinhole", "brown5", "brown8", "fisheye", NULL};
+
+static cli_option options[] = {
+    {.type = CLI_HEADING, .name = "How"},
+    {CLI_STRING, "method", 0, &method, "NAME", "first estimate: homography (flat targets), faugeras-toscani (targets with depth), visp (virtual visual servoing), or auto (default)", 0, 0, methods},
+    {CLI_STRING, "model", 0, &model, "NAME", "lens model of all cameras, instead of the dataset's: pinhole, brown5, brown8, fisheye", 0, 0, models},
+    {CLI_FLAG, "plain", 0, &plain, NULL, "least squares on all points alike: no outlier rejection, no board warp (what OpenCV and plain mrcal solve)", 0, 0, NULL},
+    {CLI_STRING, "warp", 0, &warp, "WHEN", "estimate the board's bulge: auto (default: kept when significant), on, off", 0, 0, warps},
+    {CLI_LIST, "fix", 0, &fixes, "WHAT", "hold a part at the values of --rig: CAMERA.intrinsics (with the distortion), CAMERA.distortion, CAMERA.pose, or CAMERA for all; may be repeated", 0, 0, NULL},
+    {CLI_STRING, "rig", 0, &rig_path, "FILE", "rig.yaml with the values for --fix; its covariance is passed on", 0, 0, NULL},
+    {CLI_STRING, "clicks", 0, &clicks_path, "FILE", "numbering of marks by hand: CSV with image, mark, x_px, y_px, up to nine for an image", 0, 0, NULL},
+    {CLI_FLAG, "no-leave-one-out", 0, &no_leave_one_out, NULL, "skip leaving out views in turn", 0, 0, NULL},
+    {.type = CLI_HEADING, .name = "The quality gate"},
+    {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
+    {CLI_FLAG, "accept", 0, &accept, NULL, "write rig.yaml and end with status 0 even when the gate refuses", 0, 0, NULL},
+    {.type = CLI_HEADING, .name = "Everywhere"},
+    {CLI_STRING, "output", 'o', &common.output, "DIR", "folder for the products: rig.yaml, result.yaml, report.html, points.csv, log.jsonl", 0, 0, NULL},
+    {CLI_FLAG, "json", 0, &common.json, NULL, "the result as JSON on standard output instead of a table", 0, 0, NULL},
+    {CLI_FLAG, "schema", 0, &print_schema, NULL, "list the result's keys with types and units, and end", 0, 0, NULL},
+    {CLI_INT, "threads", 0, &common.threads, "N", "threads; default: one per processor. The products do not depend on it", 0, 256, NULL},
+    {CLI_INT, "seed", 0, &seed, "N", "seed of random numbers (this job draws none)", 0, 2147483647, NULL},
+    {CLI_FLAG, "quiet", 'q', &common.quiet, NULL, "no progress, no warnings", 0, 0, NULL},
+    {CLI_FLAG, "verbose", 'v', &common.verbose, NULL, "say more", 0, 0, NULL},
+};
+
+static cli_command command = {
+    .name = "calibrate",
+    .summary = "calibrate cameras and their relative poses from images of a target",
+    .usage = "DATASET -o DIR [options]",
+    .text = "Finds the target (a chessboard, or circular marks) in every image of DATASET, estimates each camera, then "
+            "refines all cameras, views and the board's warp in one least-squares problem. Corners and views that do not "
+            "fit are named and left out. Everything gets its standard deviation; views are left out in turn to see how far "
+            "the result can be trusted; a quality gate gives the verdict.\n\n"
+            "DATASET is a folder with dataset.yaml and frames.csv:\n\n"
+            "  # dataset.yaml\n"
+            "  name: my-head\n"
+            "  target: {kind: chessboard, columns: 9, rows: 6, spacing_m: 0.025}\n"
+            "  cameras:\n"
+            "    - {name: left, model: brown5}\n"
+            "    - {name: right, model: brown5}\n\n"
+            "  # frames.csv\n"
+            "  frame,left,right\n"
+            "  01,left01.png,right01.png\n\n"
+            "columns and rows count the points: a chessboard's inner corners, or marks (with diameter_m). Exit status: 0 "
+            "done, 1 failed, 2 wrong usage, 3 the gate refuses the result (rig.yaml is then not written; --accept).",
+    .examples = "  teledimos calibrate datasets/opencv-stereo -o out\n"
+                "  teledimos calibrate datasets/visp-marks -o out --json\n"
+                "  teledimos calibrate datasets/opencv-stereo -o again --rig out/rig.yaml --fix left.intrinsics\n"
+                "  teledimos calibrate datasets/opencv-stereo -o strict --gate rms_px=0.3\n",
+    .option = options,
+    .option_count = sizeof options / sizeof *options,
+    .least = 0,
+    .most = 1,
+    .positional = &dataset_path,
+};
+
+/* The help of --gate, from the gate's own table. */
+static const char *gate_help(void)
+{
+    static char text[2048];
+    snprintf(text, sizeof text, "refuse above VALUE; may be repeated. Defaults, and why:");
+    for (size_t i = 0; i < calibrate_gate_count; i++) {
+        const gate_row *g = &calibrate_gate_defaults[i];
+        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key, g->refuse,
+                 g->warn, g->why);
+    }
+    return text;
+}
+
+static td_status parse_fix(td_calibrate_options *o, const td_dataset *dataset, const char *text, td_error *error)
+{
+    size_t length = strcspn(text, ".");
+    static const struct {
+        const char *name;
+        unsigned hold;
+    } parts[] = {{"", TD_HOLD_INTRINSICS | TD_HOLD_DISTORTION | TD_HOLD_POSE},
+                 {".intrinsics", TD_HOLD_INTRINSICS | TD_HOLD_DISTORTION},
+                 {".distortion", TD_HOLD_DISTORTION},
+                 {".pose", TD_HOLD_POSE}};
+    for (int c = 0; c < dataset->camera_count; c++) {
+        if (strlen(dataset->camera[c].name) != length || strncmp(dataset->camera[c].name, text, length) != 0) continue;
+        for (size_t i = 0; i < sizeof parts / sizeof *parts; i++)
+            if (strcmp(text + length, parts[i].name) == 0) {
+                o->hold[c] |= parts[i].hold;
+                return TD_OK;
+            }
+        return td_fail(error, TD_ERROR_ARGUMENT, "--fix %s: a camera has intrinsics, distortion and pose", text);
+    }
+    return td_fail(error, TD_ERROR_ARGUMENT, "--fix %s: the dataset has no camera of that name", text);
+}
+
+/* SHA-256 over what the result depends on: description, frames, and every image's name and bytes. */
+static td_status hash_dataset(char hex[65], const td_dataset *dataset, td_error *error)
+{
+    td_hash *hash;
+    TD_TRY(td_hash_new(&hash, error));
+    static const char *const files[] = {"dataset.yaml", "frames.csv"};
+    for (size_t i = 0; i < 2; i++) {
+        char *path = td_path_join(dataset->folder, files[i]), *bytes = NULL;
+        size_t size = 0;
+        if (path && td_file_read(&bytes, &size, path, (size_t)64 << 20, NULL) == TD_OK) td_hash_add(hash, bytes, size);
+        free(bytes);
+        free(path);
+    }
+    for (size_t v = 0; v < dataset->frame_count && !dataset->corners; v++)
+        for (int c = 0; c < dataset->camera_count; c++) {
+            char part[65];
+            if (!dataset->frame[v].image[c] || td_hash_file(part, dataset->frame[v].image[c], NULL) != TD_OK) continue;
+            td_hash_add(hash, part, strlen(part));
+        }
+    if (dataset->corners) {
+        char part[65];
+        if (td_hash_file(part, dataset->corners, NULL) == TD_OK) td_hash_add(hash, part, strlen(part));
+    }
+    return td_hash_finish(hex, &hash, error);
+}
+
+static td_status write_text(const char *folder, const char *name, const char *text, size_t size, td_error *error)
+{
+    char *path = td_path_join(folder, name);
+    if (!path) return td_fail(error, TD_ERROR_MEMORY, "no memory for a path");
+    td_status status = td_file_write(path, text, size, error);
+    free(path);
+    return status;
+}
+
+static td_status write_rig(const calibrate_job *job, const char *folder, bool wanted, td_error *error)
+{
+    char *path = td_path_join(folder, "rig.yaml");
+    if (!path) return td_fail(error, TD_ERROR_MEMORY, "no memory for a path");
+    td_status status = TD_OK;
+    td_rig *rig = job->calibration->rig;
+    json_decref(rig->provenance);
+    rig->provenance = calibrate_provenance(job);
+    if (wanted)
+        status = td_rig_write(rig, path, error);
+    else
+        unlink(path); /* one of an earlier run would pass for this one's */
+    free(path);
+    return status;
+}
+
+/* Products in an order that ends with result.yaml: where it stands, the others do. */
+static td_status write_products(const calibrate_job *job, json_t *result, const char *log, size_t log_size,
+                                td_error *error)
+{
+    const char *folder = common.output;
+    bool wanted = job->gate->verdict != VERDICT_REFUSED || accept;
+    if (!wanted) json_object_del(json_object_get(result, "products"), "rig");
+    TD_TRY(td_folder_make(folder, error));
+    char comment[128], *path = td_path_join(folder, "points.csv"), *report = td_path_join(folder, "report.html");
+    snprintf(comment, sizeof comment, "points of dataset %s, sha256 %s", job->dataset->name, job->hash);
+    td_status status = path && report ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for a path");
+    if (status == TD_OK) status = td_observations_write(job->observations, comment, path, error);
+    if (status == TD_OK) status = calibrate_report(job, report, error);
+    if (status == TD_OK) status = write_rig(job, folder, wanted, error);
+    if (status == TD_OK) status = write_text(folder, "log.jsonl", log, log_size, error);
+    char *yaml = NULL;
+    if (status == TD_OK) status = td_document_to_yaml(&yaml, result, 15, error);
+    if (status == TD_OK) status = write_text(folder, "result.yaml", yaml, strlen(yaml), error);
+    free(yaml);
+    free(path);
+    free(report);
+    return status;
+}
+
+static td_status print_result(const calibrate_job *job, const json_t *result, td_error *error)
+{
+    if (common.json) {
+        char *text = NULL;
+        TD_TRY(td_document_to_json(&text, result, 15, error));
+        puts(text);
+        free(text);
+    } else {
+        calibrate_table(job);
+        printf("\nreport: %s/report.html\n", common.output);
+        if (job->gate->verdict == VERDICT_REFUSED && !accept)
+            printf("rig.yaml was not written: mend what the reasons name, or pass --accept\n");
+    }
+    return fflush(stdout) == 0 ? TD_OK : td_fail(error, TD_ERROR_IO, "standard output cannot be written");
+}
+
+static td_status finish(calibrate_job *job, gate_result *gate, const gate_row *rows, terminal *term, char **log,
+                        size_t *log_size, td_error *error)
+{
+    calibrate_judge(gate, rows, job->dataset, job->observations, job->calibration);
+    job->gate = gate;
+    json_t *result = calibrate_result(job);
+    td_status status = td_schema_check(result, calibrate_schema, calibrate_schema_count, error);
+    fflush(term->log_file);
+    if (status == TD_OK && terminal_interrupted()) status = td_fail(error, TD_ERROR_CANCELLED, "interrupted");
+    if (status == TD_OK) status = write_products(job, result, *log, *log_size, error);
+    if (status == TD_OK) status = print_result(job, result, error);
+    json_decref(result);
+    return status;
+}
+
+static td_status read_inputs(td_dataset **dataset, td_rig **rig, td_image_clicks **clicks, size_t *click_count,
+                             td_calibrate_options *o, gate_row *rows, td_error *error)
+{
+    for (size_t i = 0; i < gates.count; i++) TD_TRY(gate_set(rows, calibrate_gate_count, gates.value[i], error));
+    TD_TRY(td_dataset_read(dataset, dataset_path, error));
+    for (int c = 0; model && c < (*dataset)->camera_count; c++)
+        (*dataset)->camera[c].model = td_camera_model_from_name(model);
+    if (rig_path) TD_TRY(td_rig_read(rig, rig_path, error));
+    if (fixes.count && !*rig) return td_fail(error, TD_ERROR_ARGUMENT, "--fix needs the values to hold: --rig FILE");
+    for (size_t i = 0; i < fixes.count; i++) TD_TRY(parse_fix(o, *dataset, fixes.value[i], error));
+    if (clicks_path) TD_TRY(td_clicks_read(clicks, click_count, clicks_path, error));
+    o->known = *rig;
+    o->plain = plain;
+    o->method = td_estimate_method_from_name(method);
+    o->warp = strcmp(warp, "on") == 0 ? TD_WARP_ON : strcmp(warp, "off") == 0 ? TD_WARP_OFF : TD_WARP_AUTO;
+    o->leave_one_out = !no_leave_one_out;
+    o->threads = common.threads;
+    return TD_OK;
+}
+
+static int run(void)
+{
+    td_error error = {0};
+    td_dataset *dataset = NULL;
+    td_rig *rig = NULL;
+    td_image_clicks *clicks = NULL;
+    td_observations *observations = NULL;
+    td_calibration *calibration = NULL;
+    gate_row rows[16];
+    gate_result *gate = calloc(1, sizeof *gate);
+    memcpy(rows, calibrate_gate_defaults, calibrate_gate_count * sizeof *rows);
+
+    terminal term;
+    char *log = NULL;
+    size_t log_size = 0;
+    terminal_init(&term, common.quiet, common.verbose);
+    term.log_file = open_memstream(&log, &log_size);
+    td_log logger = terminal_log(&term);
+    td_progress progress = terminal_progress(&term);
+    td_calibrate_options o = td_calibrate_options_default();
+    o.progress = &progress;
+    o.log = &logger;
+    td_observe_options observe = {.threads = common.threads, .progress = &progress, .log = &logger};
+
+    td_status status = gate && term.log_file ? TD_OK : td_fail(&error, TD_ERROR_MEMORY, "out of memory");
+    if (status == TD_OK) status = read_inputs(&dataset, &rig, &clicks, &observe.click_count, &o, rows, &error);
+    observe.clicks = clicks;
+    if (status == TD_OK) td_log_write(&logger, TD_LOG_INFO, "calibrate", "reading %zu frames", dataset->frame_count);
+    if (status == TD_OK) status = td_observe(&observations, dataset, &observe, &error);
+    if (status == TD_OK) status = td_calibrate(&calibration, observations, &o, &error);
+    calibrate_job job = {.dataset = dataset, .observations = observations, .calibration = calibration, .options = &o};
+    if (status == TD_OK) status = hash_dataset(job.hash, dataset, &error);
+    terminal_clear(&term);
+    if (status == TD_OK) status = finish(&job, gate, rows, &term, &log, &log_size, &error);
+
+    int code = EXIT_DONE;
+    if (status != TD_OK) {
+        cli_complain(command.name, "%s", error.message[0] ? error.message : td_status_text(status));
+        code = status == TD_ERROR_ARGUMENT ? EXIT_USAGE : EXIT_FAILED;
+    } else if (gate->verdict == VERDICT_REFUSED && !accept) {
+        code = EXIT_REFUSED;
+    }
+    if (term.log_file) fclose(term.log_file);
+    free(log);
+    free(gate);
+    free(clicks);
+    td_calibration_free(&calibration);
+    td_observations_free(&observations);
+    td_rig_free(&rig);
+    td_dataset_free(&dataset);
+    return code;
+}
+
+int main(int argc, char **argv)
+{
+    for (size_t i = 0; i < command.option_count; i++)
+        if (options[i].target == &gates) options[i].help = gate_help();
+    int status = cli_parse(&command, argc, argv);
+    if (status >= 0) return status;
+    if (print_schema) {
+        char *text = td_schema_describe(calibrate_schema, calibrate_schema_count);
+        if (text) fputs(text, stdout);
+        free(text);
+        return EXIT_DONE;
+    }
+    if (!dataset_path || !common.output) {
+        cli_complain(command.name, "%s is missing (usage: teledimos %s %s)", dataset_path ? "-o DIR" : "DATASET",
+                     command.name, command.usage);
+        return EXIT_USAGE;
+    }
+    terminal_catch_signals();
+    td_linalg_single_thread();
+    return run();
+}

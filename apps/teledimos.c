@@ -1,0 +1,87 @@
+/* The driver: `teledimos COMMAND …` runs libexec/teledimos/COMMAND, so that each command loads only the libraries it
+ * uses, and --version and --help none. */
+#include <errno.h>
+#include <limits.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+static const struct {
+    const char *name, *summary;
+} commands[] = {
+    {"calibrate", "calibrate cameras and their relative poses from images of a target"},
+    {"rectify", "turn stereo pairs so that rows match rows"},
+};
+enum { COMMAND_COUNT = sizeof commands / sizeof *commands };
+
+static void print_help(void)
+{
+    printf("teledimos — calibrate, reconstruct, rehearse: for machines that work at a distance\n\n"
+           "Usage: teledimos COMMAND [arguments]\n\nCommands:\n");
+    for (int i = 0; i < COMMAND_COUNT; i++) printf("  %-12s %s\n", commands[i].name, commands[i].summary);
+    printf("\n  teledimos COMMAND --help   explains a command, with examples\n"
+           "  teledimos --version        prints the version\n"
+           "  teledimos --completion     prints a completion script for bash: eval \"$(teledimos --completion)\"\n");
+}
+
+static void print_completion(void)
+{
+    printf("_teledimos() {\n"
+           "    local word=\"${COMP_WORDS[COMP_CWORD]}\"\n"
+           "    if [ \"$COMP_CWORD\" -eq 1 ]; then\n"
+           "        COMPREPLY=($(compgen -W \"");
+    for (int i = 0; i < COMMAND_COUNT; i++) printf("%s ", commands[i].name);
+    printf("--help --version\" -- \"$word\"))\n"
+           "    elif [ \"${word#-}\" != \"$word\" ]; then\n"
+           "        COMPREPLY=($(compgen -W \"$(teledimos \"${COMP_WORDS[1]}\" --complete 2>/dev/null)\" -- \"$word\"))\n"
+           "    else\n"
+           "        COMPREPLY=($(compgen -f -- \"$word\"))\n"
+           "    fi\n"
+           "}\n"
+           "complete -o filenames -F _teledimos teledimos\n");
+}
+
+/* PREFIX/bin/teledimos to PREFIX/libexec/teledimos/NAME. */
+static int find_command(char *path, size_t size, const char *name)
+{
+    char self[PATH_MAX];
+    ssize_t length = readlink("/proc/self/exe", self, sizeof self - 1);
+    if (length <= 0) return 0;
+    self[length] = 0;
+    for (int i = 0; i < 2; i++) {
+        char *slash = strrchr(self, '/');
+        if (!slash) return 0;
+        *slash = 0;
+    }
+    return snprintf(path, size, "%s/libexec/teledimos/%s", self, name) < (int)size;
+}
+
+int main(int argc, char **argv)
+{
+    if (argc < 2 || strcmp(argv[1], "--help") == 0 || strcmp(argv[1], "-h") == 0 || strcmp(argv[1], "help") == 0) {
+        print_help();
+        return argc < 2 ? 2 : 0;
+    }
+    if (strcmp(argv[1], "--version") == 0) {
+        printf("teledimos %s\n", TD_VERSION);
+        return 0;
+    }
+    if (strcmp(argv[1], "--completion") == 0) {
+        print_completion();
+        return 0;
+    }
+    for (int i = 0; i < COMMAND_COUNT; i++) {
+        if (strcmp(argv[1], commands[i].name) != 0) continue;
+        char path[PATH_MAX];
+        if (!find_command(path, sizeof path, argv[1])) {
+            fprintf(stderr, "teledimos: the place of the program cannot be found\n");
+            return 1;
+        }
+        execv(path, argv + 1);
+        fprintf(stderr, "teledimos: %s cannot be run: %s; is the installation complete?\n", path, strerror(errno));
+        return 1;
+    }
+    fprintf(stderr, "teledimos: there is no command '%s' (see teledimos --help)\n", argv[1]);
+    return 2;
+}
