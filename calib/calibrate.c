@@ -10,6 +10,8 @@
 
 /* Chi-square with 2 degrees of freedom is larger than this once in a thousand times. */
 #define WARP_SIGNIFICANT 13.8
+/* px; what is smaller is rounding, not noise. */
+#define LEAST_NOISE 1e-4
 enum { FEWEST_VIEWS = 3, MOST_ROUNDS = 6 };
 
 td_calibrate_options td_calibrate_options_default(void)
@@ -112,7 +114,7 @@ static void take_known(td_bundle *bundle, const td_calibrate_options *options)
 }
 
 /* The noise common to a camera's points, so that weighted squares add up to their degrees of freedom: the root of
- * sum r^2 / (sigma_i^2 + n^2) = dof in n, found by bisection; 0 when the points' own sigmas explain everything. */
+ * sum r^2 / (sigma_i^2 + n^2) = dof in n, found by bisection; 0 when the points' own sigmas explain everything (but at least LEAST_NOISE). */
 static double common_noise(const td_bundle *bundle, int camera, double parameters_per_row)
 {
     size_t views = bundle->observations->view_count, points = td_target_point_count(&bundle->observations->target);
@@ -136,7 +138,7 @@ static double common_noise(const td_bundle *bundle, int camera, double parameter
         *(sum > dof ? &low : &high) = middle;
     }
     free(r2);
-    return sqrt(high);
+    return fmax(sqrt(high), LEAST_NOISE);
 }
 
 static size_t parameter_count(const td_bundle *bundle)
@@ -217,7 +219,7 @@ static td_status solve(td_bundle *bundle, const td_loss *loss, td_calibration *r
 static td_status solve_robustly(td_bundle *bundle, td_calibration *result, const td_calibrate_options *options,
                                 td_error *error)
 {
-    for (int c = 0; c < bundle->rig->count; c++) bundle->noise[c] = fmax(td_robust_noise(bundle, c), 1e-3);
+    for (int c = 0; c < bundle->rig->count; c++) bundle->noise[c] = fmax(td_robust_noise(bundle, c), LEAST_NOISE);
     const td_loss loss = {TD_LOSS_CAUCHY, 2.5, 2};
     TD_TRY(solve(bundle, &loss, result, options, error));
     bundle->own_sigma = true;
@@ -244,7 +246,8 @@ static td_status choose_warp(td_bundle *bundle, td_calibration *result, const td
     }
     bool possible = target->plane_count == 1 && !rail && views >= 5;
     if (options->warp == TD_WARP_OFF || options->plain || !possible) return TD_OK;
-    double chi2 = 0;
+    double chi2 = 0, noise[TD_RIG_MAX_CAMERAS];
+    memcpy(noise, bundle->noise, sizeof noise);
     bundle->use_warp = true;
     TD_TRY(solve(bundle, NULL, result, options, error));
     if (options->warp == TD_WARP_AUTO) {
@@ -253,6 +256,7 @@ static td_status choose_warp(td_bundle *bundle, td_calibration *result, const td
         if (chi2 < WARP_SIGNIFICANT) {
             bundle->use_warp = false;
             bundle->warp[0] = bundle->warp[1] = 0;
+            memcpy(bundle->noise, noise, sizeof noise);
             TD_TRY(solve(bundle, NULL, result, options, error));
         }
     }

@@ -93,6 +93,47 @@ void td_mark_fit_free(td_mark_fit *fit);
 td_status td_mark_fit_blob(td_mark *mark, bool *ok, td_mark_fit *fit, const td_image *image,
                            const td_blob *blob, td_error *error);
 
+/* ---- Step three: lattices. ---- */
+
+/* Marks that lie on one square lattice seen in perspective. Columns and rows are right-handed in the image:
+ * from the direction of the columns to that of the rows is a turn from x to y, as on a board seen from its
+ * front. */
+typedef struct td_lattice {
+    int columns, rows; /* of its bounding box */
+    size_t count;      /* marks on it */
+    int *mark;         /* (rows,columns) index of the mark, -1: none */
+} td_lattice;
+
+typedef struct td_lattices {
+    size_t count;
+    td_lattice *lattice; /* (count), the largest first */
+} td_lattices;
+void td_lattices_free(td_lattices *lattices);
+
+/* `pitch`: distance of neighbouring marks over the radius of a mark; 0: found from the marks. *pitch_seen
+ * (may be NULL) = the median of what was found. Lattices of fewer than 4 marks are left out. */
+td_status td_marks_lattices(td_lattices *lattices, double *pitch_seen, const td_mark *mark, size_t count,
+                            double pitch, td_error *error);
+
+/* Takes off the lattice what does not lie on its plane. Distortion may bend the plane smoothly. */
+void td_lattice_discard(td_lattice *lattice, const td_mark *mark);
+
+/* Homography from lattice coordinates to the image; false when the marks do not determine one. */
+bool td_lattice_homography(double image_from_lattice[9], const td_lattice *lattice, const td_mark *mark);
+
+/* Where the mark at (column, row) should lie, as told by its neighbours in the lattice but not by itself:
+ * `value` (3) = image position taken back to lattice coordinates by `lattice_from_image`, and logarithm of
+ * the mark's area. False when there are too few neighbours. */
+bool td_lattice_predict(double value[3], const td_lattice *lattice, const td_mark *mark,
+                        const double lattice_from_image[9], int column, int row);
+
+/* Applies a homography. */
+void td_homography_map(double out[2], const double h[9], double x, double y);
+/* False when singular. */
+bool td_homography_invert(double inverse[9], const double h[9]);
+/* Semi-axes of a mark, px: minor, major. */
+void td_mark_axes(double axes[2], const td_mark *mark);
+
 #ifdef __cplusplus
 }
 #endif

@@ -32,6 +32,79 @@ static size_t views_in_use(const td_bundle *bundle, int camera)
     return views;
 }
 
+static double view_rms(const td_bundle *bundle, size_t view, int camera)
+{
+    size_t points = td_target_point_count(&bundle->observations->target), n = 0;
+    double sum = 0, r[2];
+    for (size_t p = 0; p < points; p++) {
+        if (!bundle->used[td_bundle_index(bundle, view, camera, p)]) continue;
+        if (!td_bundle_residual(r, bundle, view, camera, p)) return INFINITY;
+        sum += r[0] * r[0] + r[1] * r[1];
+        n++;
+    }
+    return n ? sqrt(sum / (double)n) : 0;
+}
+
+/* The other pose at which a small plane looks nearly the same: its normal mirrored at the line of sight to its centre
+ * (Schweighofer and Pinz 2006). A view can settle in the wrong one of the two. */
+static td_pose mirrored_pose(const td_pose *camera_from_target, const td_target *target)
+{
+    double centre[3], sight[3], normal[3], axis[3], first[3], last[3];
+    const double z[3] = {0, 0, 1};
+    td_target_point(first, target, 0);
+    td_target_point(last, target, td_target_point_count(target) - 1);
+    for (int i = 0; i < 3; i++) centre[i] = (first[i] + last[i]) / 2;
+    td_pose_transform(sight, camera_from_target, centre);
+    td_pose_rotate(normal, camera_from_target, z);
+    double length = sqrt(sight[0] * sight[0] + sight[1] * sight[1] + sight[2] * sight[2]);
+    for (int i = 0; i < 3; i++) axis[i] = (normal[(i + 1) % 3] * sight[(i + 2) % 3] - normal[(i + 2) % 3] * sight[(i + 1) % 3]) / length;
+    double s = sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]);
+    double c = (normal[0] * sight[0] + normal[1] * sight[1] + normal[2] * sight[2]) / length, angle = 2 * atan2(s, c);
+    if (!(s > 0)) return *camera_from_target;
+    /* Turn about the centre: p -> R (p - sight) + sight. */
+    double omega[3], moved[3];
+    for (int i = 0; i < 3; i++) omega[i] = axis[i] / s * angle;
+    td_pose turn = td_pose_identity();
+    td_rotation_exp(turn.q, omega);
+    td_pose_rotate(moved, &turn, sight);
+    for (int i = 0; i < 3; i++) turn.t[i] = sight[i] - moved[i];
+    return td_pose_compose(&turn, camera_from_target);
+}
+
+static int compare_doubles(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* Tries the mirrored pose for views that fit worse than the others; true when one was taken. */
+static bool unmirror(td_bundle *bundle, int camera)
+{
+    size_t views = bundle->observations->view_count, n = 0;
+    double *rms = malloc((views + 1) * sizeof *rms);
+    bool changed = false;
+    if (!rms || bundle->observations->target.plane_count > 1) {
+        free(rms);
+        return false;
+    }
+    for (size_t v = 0; v < views; v++)
+        if (td_bundle_used(bundle, v, camera)) rms[n++] = view_rms(bundle, v, camera);
+    qsort(rms, n, sizeof *rms, compare_doubles);
+    double limit = n ? 1.5 * rms[(n - 1) / 2] : 0;
+    free(rms);
+    for (size_t v = 0; v < views; v++) {
+        double before = td_bundle_used(bundle, v, camera) ? view_rms(bundle, v, camera) : 0;
+        if (!(before > limit) || !isnan(bundle->observations->height_m[v])) continue;
+        td_pose *pose = &bundle->rig_from_target[bundle->pose_of_view[v]], kept = *pose;
+        *pose = mirrored_pose(pose, &bundle->observations->target);
+        if (td_bundle_solve_view(bundle, v, NULL, NULL) == TD_OK && view_rms(bundle, v, camera) < before)
+            changed = true;
+        else
+            *pose = kept;
+    }
+    return changed;
+}
+
 /* Plain least squares, then a robust pass where the residuals' tail asks for it. */
 static td_status mono_refine(mono *m, int camera, const td_calibrate_options *options, td_error *error)
 {
@@ -40,16 +113,14 @@ static td_status mono_refine(mono *m, int camera, const td_calibrate_options *op
     solve.function_tolerance = 1e-7;
     solve.max_iterations = 50;
     TD_TRY(td_bundle_solve(&m->bundle, NULL, NULL, &solve, error));
-    if (!options->plain) {
-        double noise = td_robust_noise(&m->bundle, camera);
-        size_t points;
-        double rms = sqrt(td_bundle_square_sum(&m->bundle, camera, &points) / (double)(points ? points : 1));
-        if (rms > 2 * noise) {
-            const td_loss loss = {TD_LOSS_CAUCHY, fmax(3 * noise, 0.05), 2};
-            TD_TRY(td_bundle_solve(&m->bundle, &loss, NULL, &solve, error));
-        }
-    }
+    for (int round = 0; round < 3 && unmirror(&m->bundle, camera); round++)
+        TD_TRY(td_bundle_solve(&m->bundle, NULL, NULL, &solve, error));
     size_t points;
+    m->rms = sqrt(td_bundle_square_sum(&m->bundle, camera, &points) / (double)(points ? points : 1));
+    double noise = td_robust_noise(&m->bundle, camera);
+    if (options->plain || !(m->rms > 2 * noise)) return TD_OK;
+    const td_loss loss = {TD_LOSS_CAUCHY, fmax(3 * noise, 0.05), 2};
+    TD_TRY(td_bundle_solve(&m->bundle, &loss, NULL, &solve, error));
     m->rms = sqrt(td_bundle_square_sum(&m->bundle, camera, &points) / (double)(points ? points : 1));
     return TD_OK;
 }
@@ -225,12 +296,6 @@ static double view_disagreement(int *turn, const pair *p, size_t v, const td_pos
         }
     }
     return best;
-}
-
-static int compare_doubles(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
 }
 
 /* The relative pose with the smallest median disagreement over the views, and that median. */

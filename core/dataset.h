@@ -10,9 +10,15 @@
  *       - {name: right, model: brown5}
  *     expect: {baseline_m: 0.083, tolerance_m: 0.002}     # optional: what a tape measure says
  *
- * frames.csv: a header; `frame` names the view (optional: else the row's number), a column for each camera (an empty
- * cell: no image), optional `time_s`, optional `height_m` (the board, moved along its own normal to known heights
- * while the cameras stand still: Faugeras-Toscani's target with depth). Other columns are kept out. */
+ * Optional besides: about (free text), frames (name of the table, default frames.csv), corners (a CSV of
+ * points found elsewhere). ${NAME} in root and corners is replaced by that environment variable; relative
+ * paths begin at the dataset's folder. The target is described in README; core/target.h says what may be in
+ * it.
+ *
+ * frames.csv: a header; `frame` names the view (optional: else the row's number), a column for each camera
+ * (an empty cell: no image), optional `time_s`, optional `height_m` (the board, moved along its own normal to
+ * known heights while the cameras stand still: Faugeras-Toscani's target with depth). Other columns are kept
+ * out. */
 #ifndef TELEDIMOS_CORE_DATASET_H
 #define TELEDIMOS_CORE_DATASET_H
 
@@ -46,15 +52,18 @@ typedef struct td_dataset {
     int camera_count;
     td_dataset_camera camera[TD_RIG_MAX_CAMERAS];
     size_t frame_count;
-    td_dataset_frame *frame;      /* (frame_count) */
-    double expected_baseline_m;   /* NaN: not given */
+    td_dataset_frame *frame;    /* (frame_count) */
+    double expected_baseline_m; /* NaN: not given */
     double expected_tolerance_m;
-    char *corners;                /* path of a CSV of points found elsewhere (calib/observations.h); NULL: detect */
+    char *corners; /* path of a CSV of points found elsewhere (calib/observations.h); NULL: detect */
 } td_dataset;
 
-/* Reads DATASET/dataset.yaml (or the file itself when a path to a .yaml is given) and its frames. Everything is
- * checked, sizes and numbers bounded; images are not opened. */
+/* Reads DATASET/dataset.yaml (or the file itself when a path to a .yaml is given) and its frames. Everything
+ * is checked, sizes and numbers bounded; images are not opened. */
 TD_API td_status td_dataset_read(td_dataset **dataset, const char *path, td_error *error);
+/* The same from the text of both files, as if they lay in `folder`. */
+TD_API td_status td_dataset_parse(td_dataset **dataset, const char *yaml, size_t yaml_size, const char *csv,
+                                  size_t csv_size, const char *folder, td_error *error);
 TD_API void td_dataset_free(td_dataset **dataset);
 
 #ifdef __cplusplus

@@ -76,6 +76,7 @@ static td_status lay_out(td_covariance *c, const td_problem *problem, const td_c
         if (b < 0 || (size_t)b >= c->block_count || c->block[b].local)
             return td_fail(error, TD_ERROR_ARGUMENT, "considered block %d: must be a shared block", b);
         c->block[b].held = false;
+        c->block[b].held_components = 0;
     }
     for (size_t i = 0; i < c->block_count; i++) {
         int free_components = 0;

@@ -191,8 +191,8 @@ static double plan_names(axis *a, const plot_format *f)
 {
     double slot = a->length / (a->max - a->min);
     size_t longest = 0;
-    a->first = llround(fmax(0, ceil(a->min)));
-    a->last = llround(fmin((double)a->name_count - 1, floor(a->max)));
+    a->first = llround(fmin(fmax(ceil(a->min), 0), (double)a->name_count));
+    a->last = llround(fmin(fmax(floor(a->max), -1), (double)a->name_count - 1));
     for (long long k = a->first; k <= a->last; k++) {
         size_t length = td_markup_length(a->names[k]);
         if (length > longest) longest = length;

@@ -265,6 +265,7 @@ static td_report *everything(void)
     add_picture(report, 60, 40, 3, 0);
     td_report_grid_end(report);
     add_picture(report, 60, 40, 3, 0);
+    td_report_plot(report, NULL, &line, 1);
     return report;
 }
 
@@ -275,12 +276,16 @@ static void test_well_formed_and_deterministic(void **state)
     check_well_formed(text);
     assert_int_equal(count_of(text, "<h1>"), 1);
     assert_int_equal(count_of(text, "<h2 id="), 5);
-    assert_int_equal(count_of(text, "<figure"), 5);
-    assert_int_equal(count_of(text, "<figcaption>"), 5);
-    assert_int_equal(count_of(text, "role=\"img\""), 5);
-    assert_int_equal(count_of(text, "<desc>"), 5);
+    assert_int_equal(count_of(text, "<figure"), 6);
+    assert_int_equal(count_of(text, "<figcaption>"), 6);
+    assert_int_equal(count_of(text, "role=\"img\""), 6);
+    assert_int_equal(count_of(text, "<desc>"), 6);
     assert_int_equal(count_of(text, "<th scope=\"col\""), 3);
     assert_int_equal(count_of(text, "<th scope=\"row\""), 5);
+    assert_int_equal(count_of(text, "<figure class=\"plot full\">"), 2); /* before and behind the grid */
+    assert_int_equal(count_of(text, "<figure class=\"plot third\">"), 1);
+    assert_int_equal(count_of(text, "<table class=\"sort\">"), 1);
+    assert_int_equal(count_of(text, "<script>"), 1);
 
     report = everything();
     char *again = finish(&report, *state);
@@ -465,6 +470,7 @@ static void test_equal_axes(void **state)
         double y_span = number_after(y_axis, " to ") - number_after(y_axis, "from ");
         check_near(b.width / x_span / (b.height / y_span), 1, 2e-3); /* the description has four digits */
         assert_true(x_span >= size[i][0] && y_span >= size[i][1]);
+        assert_true(b.width < 860 && b.height <= 560.01);
         free(text);
     }
 }
@@ -532,6 +538,27 @@ static void test_ticks(void **state)
             if (ranges[i][1] > 1e-290) check_ticks(text, ranges[i][0], ranges[i][1]);
             free(text);
         }
+}
+
+/* Values that doubles cannot tell apart on an axis are drawn as one; small numbers count in a power of a
+ * thousand. */
+static void test_narrow_ranges(void **state)
+{
+    static const double x[] = {1, 1 + 2 * DBL_EPSILON}, y[] = {0, 3e-9};
+    td_series series = {.count = 2, .x = x, .y = y};
+    td_report *report = td_report_new("t", NULL);
+    td_report_plot(report, &(td_axes){.x_label = "x"}, &series, 1);
+    td_report_plot(report, &(td_axes){.x_label = "y (m)"}, &(td_series){.count = 2, .x = y, .y = x}, 1);
+    char *text = finish(&report, *state);
+    char *second = strstr(find(text, "<figure") + 1, "<figure");
+    find(second, ">y (m) · 10⁻⁹</text>");
+    check_ticks(second, 0, 3.2e-9);
+    *second = 0;
+    check_numbers(text);
+    /* Only the y axis of the first counts in powers. */
+    find(text, ">10⁻⁹</text>");
+    find(text, "x axis: x, from 0.9 to 1.1.");
+    free(text);
 }
 
 /* No data, one value, values all the same, far apart, too large, not finite: a plot all the same, and no wild
@@ -619,6 +646,21 @@ static void test_clipped_line(void **state)
     for (int i = 0; i < 2; i++) check_near(v[2 * i] / b.width + v[2 * i + 1] / b.height, 1, 1e-3);
     assert_true(v[0] <= 0 && v[2] >= b.width);
     free(text);
+
+    /* One that leaves the view and comes back elsewhere begins anew there. */
+    static const double u[] = {0.2, 0.5, 0.8}, w[] = {0.5, 50, 0.5};
+    series = (td_series){.shape = TD_SHAPE_LINE, .count = 3, .x = u, .y = w};
+    report = td_report_new("t", NULL);
+    td_report_plot(report, &(td_axes){.x_max = 1, .y_max = 1}, &series, 1);
+    text = finish(&report, *state);
+    b = data_box(text);
+    assert_int_equal(path_numbers(v, 8, b.inside, "line"), 8);
+    assert_true(v[2] > 0.2 * b.width && v[2] < 0.21 * b.width);
+    assert_true(v[4] < 0.8 * b.width && v[4] > 0.79 * b.width);
+    char *d = after(b.inside, "<path class=\"line\" d=\"");
+    assert_int_equal(count_of(d, "M"), 2);
+    free(d);
+    free(text);
 }
 
 static void test_vectors(void **state)
@@ -670,6 +712,14 @@ static void test_bars(void **state)
         check_near(w[5 * i], b.width * (x[i] + 0.5) / 3, 0.021);
     }
     free(text);
+
+    /* Bars stand on 0, however high they are. */
+    static const double high[] = {10, 10.5, 11};
+    report = td_report_new("t", NULL);
+    td_report_plot(report, NULL, &(td_series){.shape = TD_SHAPE_BAR, .count = 3, .x = x, .y = high}, 1);
+    text = finish(&report, *state);
+    find(text, "y axis: from 0 to 11");
+    free(text);
 }
 
 static void test_names(void **state)
@@ -686,12 +736,17 @@ static void test_names(void **state)
     td_report *report = td_report_new("t", NULL);
     td_report_plot(report, &(td_axes){.x_names = (const char *const[]){"left", "right"}, .x_name_count = 2},
                    &series, 1);
+    /* Axes that reach beyond the names show those that there are. */
+    td_axes beyond = {
+        .x_names = (const char *const[]){"left", "right"}, .x_name_count = 2, .x_min = -3, .x_max = 4};
+    td_report_plot(report, &beyond, &series, 1);
     td_report_heading(report, "many");
     td_report_plot(report, &(td_axes){.x_names = names, .x_name_count = MANY}, &series, 1);
     char *text = finish(&report, *state);
     check_well_formed(text);
     const char *many = find(text, "<h2");
-    find(text, ">left</text>");
+    assert_int_equal(count_of(text, ">left</text>"), 2);
+    assert_int_equal(count_of(text, ">right</text>"), 2);
     assert_true(strstr(text, "rotate(-45)") > many); /* two have room, 300 do not */
     size_t shown = count_of(many, "rotate(-45)");
     if (shown < 10 || shown > 60) fail_msg("%zu names of %d", shown, MANY);
@@ -712,8 +767,8 @@ static void test_many_values(void **state)
         y[i] = td_random_uniform(&random);
         t[i] = i;
     }
-    x[N / 2] = 2;
-    y[N / 2] = 3;
+    x[N / 2 + 7] = 2;
+    y[N / 2 + 7] = 3;
     td_axes axes = {.x_max = 4, .y_max = 4}, time = {.x_max = N, .y_max = 4};
     static const td_shape shapes[] = {TD_SHAPE_POINT, TD_SHAPE_CROSS, TD_SHAPE_LINE, TD_SHAPE_BAR};
     static const char *const class_name[] = {"point many", "cross", "dense", "bar"};
@@ -738,6 +793,19 @@ static void test_many_values(void **state)
         free(v);
         free(text);
     }
+    /* A line's extremes in x are kept as well. */
+    td_series upright = {.shape = TD_SHAPE_LINE, .count = N, .x = y, .y = t};
+    td_report *report = td_report_new("t", NULL);
+    td_report_plot(report, &(td_axes){.x_max = 4, .y_max = N}, &upright, 1);
+    char *text = finish(&report, *state);
+    box b = data_box(text);
+    double *v = calloc(N, sizeof *v), most = 0;
+    assert_non_null(v);
+    size_t count = path_numbers(v, N, b.inside, "dense");
+    for (size_t i = 0; i < count; i += 2) most = fmax(most, v[i]);
+    check_near(most, 0.75 * b.width, 0.011);
+    free(v);
+    free(text);
     free(x);
     free(y);
     free(t);
@@ -799,10 +867,44 @@ static void test_picture(void **state)
         }
     check_near(sum / (SMALL * 60), 0, 0.3); /* half a pixel of the image would be 0.25 + 0.125 */
     td_image_free(&small);
+    free(bytes);
+    free(base64);
+    free(text);
+
+    /* Never larger than it is. */
+    report = td_report_new("t", NULL);
+    td_report_picture(report, image, 5000, "caption", NULL, 0);
+    text = finish(&report, *state);
+    find(text, "max-width:333px");
+    base64 = after(text, "data:image/jpeg;base64,");
+    bytes = decode_base64(base64, &size);
+    check_ok(td_image_decode(&small, bytes, size, 1, "embedded", &error), error);
+    assert_int_equal(small->width, WIDTH);
+    td_image_free(&small);
     td_image_free(&image);
     free(bytes);
     free(base64);
     free(text);
+}
+
+/* Every byte of the JPEG is in the file, whatever their number leaves when divided by three. */
+static void test_embedding(void **state)
+{
+    bool seen[3] = {false};
+    for (int width = 20; width < 40; width++) {
+        td_report *report = td_report_new("t", NULL);
+        add_picture(report, 60, 40, 3, width);
+        char *text = finish(&report, *state), *base64 = after(text, "data:image/jpeg;base64,");
+        size_t size;
+        uint8_t *bytes = decode_base64(base64, &size);
+        assert_true(size > 100 && bytes[size - 2] == 0xFF && bytes[size - 1] == 0xD9); /* the end of a JPEG */
+        assert_int_equal(strlen(base64), (size + 2) / 3 * 4);
+        seen[size % 3] = true;
+        free(bytes);
+        free(base64);
+        free(text);
+    }
+    assert_true(seen[0] && seen[1] && seen[2]);
 }
 
 /* --- failures --- */
@@ -812,7 +914,7 @@ static void test_first_failure_is_kept(void **state)
     char *path = td_path_join(*state, "none.html");
     static const char *const columns[] = {"a", "b"};
     static const double one[] = {1};
-    for (int k = 0; k < 14; k++) {
+    for (int k = 0; k < 15; k++) {
         static const char *const words[] = {"has 1 cells for its 2 columns",
                                             "more cells than its 2 columns",
                                             "call td_report_table_end first",
@@ -826,7 +928,8 @@ static void test_first_failure_is_kept(void **state)
                                             "call td_report_grid_end first",
                                             "is not ended",
                                             "unknown shape",
-                                            "is given none"};
+                                            "is given none",
+                                            "of 1 or 3 channels"};
         td_error error = {0};
         td_report *report = td_report_new("t", NULL);
         bool in_table = k < 3 || k == 11;
@@ -846,6 +949,7 @@ static void test_first_failure_is_kept(void **state)
         if (k == 11) td_report_cell(report, TD_TONE_PLAIN, "1"), td_report_table_end(report);
         if (k == 12) td_report_plot(report, NULL, &(td_series){.shape = (td_shape)9}, 1);
         if (k == 13) td_report_plot(report, NULL, NULL, 1);
+        if (k == 14) td_report_picture(report, &(td_image){1, 1, 2, (uint8_t[]){1, 2}}, 10, "p", NULL, 0);
         /* Later failures do not replace the first, and good calls do not heal it. */
         if (k != 10) td_report_row_end(report), td_report_figure(report, "a", TD_TONE_PLAIN, "1");
         check_fails(td_report_write(report, path, &error), TD_ERROR_ARGUMENT, error, words[k]);
@@ -926,6 +1030,7 @@ int main(void)
         TEST(test_positions),
         TEST(test_equal_axes),
         TEST(test_ticks),
+        TEST(test_narrow_ranges),
         TEST(test_odd_data),
         TEST(test_missing_values_are_said),
         TEST(test_clipped_line),
@@ -934,6 +1039,7 @@ int main(void)
         TEST(test_names),
         TEST(test_many_values),
         TEST(test_picture),
+        TEST(test_embedding),
         TEST(test_first_failure_is_kept),
         TEST(test_unwritable),
         TEST(test_null),

@@ -1,0 +1,25 @@
+#!/bin/sh
+# Installs what is missing, builds, and calibrates OpenCV's stereo pairs. On Debian 12; can be run again and again.
+set -eu
+cd "$(dirname "$0")/.."
+. apps/install.sh
+td_install "$TD_BUILD_PACKAGES"
+td_install_data
+
+echo "== building (build/release)"
+cmake --preset release -DTELEDIMOS_TESTS=OFF >build-demo.log 2>&1 || { cat build-demo.log; rm -f build-demo.log; exit 1; }
+rm -f build-demo.log
+cmake --build --preset release
+PATH="$PWD/build/release/bin:$PATH"
+export PATH
+
+echo "== teledimos calibrate datasets/opencv-stereo -o out/opencv-stereo"
+teledimos calibrate datasets/opencv-stereo -o out/opencv-stereo
+echo
+echo "== teledimos calibrate datasets/visp-marks -o out/visp-marks"
+teledimos calibrate datasets/visp-marks -o out/visp-marks
+echo
+echo "== teledimos rectify datasets/opencv-stereo --rig out/opencv-stereo/rig.yaml -o out/rectified"
+teledimos rectify datasets/opencv-stereo --rig out/opencv-stereo/rig.yaml -o out/rectified
+echo
+echo "Done. Open the report: $PWD/out/opencv-stereo/report.html"

@@ -1,0 +1,150 @@
+/* A lattice of marks once it is found: its homography, and what does not lie on its plane. */
+#include <math.h>
+#include <stdlib.h>
+
+#include "calib/homography.h"
+#include "calib/marks_internal.h"
+#include "core/linalg.h"
+
+enum { LINEAR = 3, QUADRATIC = 6 };
+
+/* How far a mark may lie from where its neighbours say, in lattice units, and the same for the logarithm of
+ * its area. A quadratic leaves little of any lens; a plane fitted to few neighbours leaves more. A clutter
+ * blob that by chance lies at a lattice point, or a mark half hidden, is farther off. */
+static const double OFF_QUADRATIC = 0.1, OFF_LINEAR = 0.25, OFF_AREA = 0.4;
+
+void td_mark_axes(double axes[2], const td_mark *mark)
+{
+    const double *s = mark->shape;
+    double half = 0.5 * (s[0] + s[2]), root = hypot(0.5 * (s[0] - s[2]), s[1]);
+    axes[0] = 1 / sqrt(half + root);
+    axes[1] = 1 / sqrt(half - root);
+}
+
+void td_homography_map(double out[2], const double h[9], double x, double y)
+{
+    double w = h[6] * x + h[7] * y + h[8];
+    out[0] = (h[0] * x + h[1] * y + h[2]) / w;
+    out[1] = (h[3] * x + h[4] * y + h[5]) / w;
+}
+
+bool td_homography_invert(double inverse[9], const double h[9])
+{
+    const double a[9] = {h[4] * h[8] - h[5] * h[7], h[2] * h[7] - h[1] * h[8], h[1] * h[5] - h[2] * h[4],
+                         h[5] * h[6] - h[3] * h[8], h[0] * h[8] - h[2] * h[6], h[2] * h[3] - h[0] * h[5],
+                         h[3] * h[7] - h[4] * h[6], h[1] * h[6] - h[0] * h[7], h[0] * h[4] - h[1] * h[3]};
+    double det = h[0] * a[0] + h[1] * a[3] + h[2] * a[6];
+    if (det == 0 || !isfinite(det)) return false;
+    for (int i = 0; i < 9; i++) inverse[i] = a[i] / det;
+    return true;
+}
+
+void td_lattices_free(td_lattices *lattices)
+{
+    for (size_t i = 0; i < lattices->count; i++) free(lattices->lattice[i].mark);
+    free(lattices->lattice);
+    *lattices = (td_lattices){0};
+}
+
+bool td_lattice_homography(double image_from_lattice[9], const td_lattice *lattice, const td_mark *mark)
+{
+    double *plane = malloc(4 * lattice->count * sizeof *plane), *image = plane + 2 * lattice->count;
+    if (!plane) return false;
+    size_t n = 0;
+    for (int r = 0, i = 0; r < lattice->rows; r++) {
+        for (int c = 0; c < lattice->columns; c++, i++) {
+            if (lattice->mark[i] < 0) continue;
+            plane[2 * n] = c;
+            plane[2 * n + 1] = r;
+            image[2 * n] = mark[lattice->mark[i]].centre[0];
+            image[2 * n + 1] = mark[lattice->mark[i]].centre[1];
+            n++;
+        }
+    }
+    bool ok = td_homography(image_from_lattice, plane, image, n, NULL) == TD_OK;
+    free(plane);
+    return ok;
+}
+
+static void measured(double value[3], const td_mark *mark, const double lattice_from_image[9])
+{
+    const double *s = mark->shape;
+    td_homography_map(value, lattice_from_image, mark->centre[0], mark->centre[1]);
+    value[2] = -0.5 * log(s[0] * s[2] - s[1] * s[1]);
+}
+
+/* The value at the origin of the polynomial of `terms` terms through the neighbours up to two places away. */
+static bool fit_neighbours(double value[3], const td_lattice *lattice, const td_mark *mark,
+                           const double lattice_from_image[9], int column, int row, int terms)
+{
+    double h[QUADRATIC * QUADRATIC] = {0}, g[3][QUADRATIC] = {{0}};
+    int n = 0;
+    for (int dr = -2; dr <= 2; dr++) {
+        for (int dc = -2; dc <= 2; dc++) {
+            int c = column + dc, r = row + dr;
+            if ((!dr && !dc) || c < 0 || r < 0 || c >= lattice->columns || r >= lattice->rows) continue;
+            int m = lattice->mark[(size_t)r * lattice->columns + c];
+            if (m < 0) continue;
+            double seen[3], x = dc, y = dr, basis[QUADRATIC] = {1, x, y, x * x, x * y, y * y};
+            measured(seen, &mark[m], lattice_from_image);
+            for (int i = 0; i < terms; i++) {
+                for (int j = 0; j < terms; j++) h[i * terms + j] += basis[i] * basis[j];
+                for (int k = 0; k < 3; k++) g[k][i] += basis[i] * seen[k];
+            }
+            n++;
+        }
+    }
+    if (n < terms + (terms == QUADRATIC ? 2 : 1)) return false;
+    /* Neighbours that do not determine the polynomial leave no positive diagonal to invert, or a huge one. */
+    if (td_invert_spd(h, h, (size_t)terms, NULL) != TD_OK || !(h[0] < 10)) return false;
+    for (int k = 0; k < 3; k++) {
+        value[k] = 0;
+        for (int i = 0; i < terms; i++) value[k] += h[i] * g[k][i];
+    }
+    return true;
+}
+
+/* How far what is measured lies from what is predicted, as a share of what is allowed. */
+static double share_off(const td_lattice *lattice, const td_mark *mark, const double lattice_from_image[9],
+                        int column, int row)
+{
+    double value[3], seen[3], allowed = OFF_QUADRATIC;
+    const td_mark *m = &mark[lattice->mark[(size_t)row * lattice->columns + column]];
+    if (!fit_neighbours(value, lattice, mark, lattice_from_image, column, row, QUADRATIC)) {
+        allowed = OFF_LINEAR;
+        if (!fit_neighbours(value, lattice, mark, lattice_from_image, column, row, LINEAR)) return 0;
+    }
+    measured(seen, m, lattice_from_image);
+    double axes[2];
+    td_mark_axes(axes, m);
+    return fmax(hypot(seen[0] - value[0], seen[1] - value[1]) / allowed,
+                fabs(seen[2] - value[2]) / (OFF_AREA + 1 / axes[0]));
+}
+
+bool td_lattice_predict(double value[3], const td_lattice *lattice, const td_mark *mark,
+                        const double lattice_from_image[9], int column, int row)
+{
+    return fit_neighbours(value, lattice, mark, lattice_from_image, column, row, QUADRATIC) ||
+           fit_neighbours(value, lattice, mark, lattice_from_image, column, row, LINEAR);
+}
+
+void td_lattice_discard(td_lattice *lattice, const td_mark *mark)
+{
+    /* The worst goes first: it spoils its neighbours' predictions. */
+    for (;;) {
+        double h[9], inverse[9], worst = 1;
+        size_t at = SIZE_MAX;
+        if (!td_lattice_homography(h, lattice, mark) || !td_homography_invert(inverse, h)) return;
+        for (int r = 0, i = 0; r < lattice->rows; r++) {
+            for (int c = 0; c < lattice->columns; c++, i++) {
+                double off = lattice->mark[i] < 0 ? 0 : share_off(lattice, mark, inverse, c, r);
+                if (!(off > worst)) continue;
+                worst = off;
+                at = (size_t)i;
+            }
+        }
+        if (at == SIZE_MAX) return;
+        lattice->mark[at] = -1;
+        lattice->count--;
+    }
+}
