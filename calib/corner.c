@@ -22,12 +22,19 @@
 
 #include "calib/corner_internal.h"
 
-enum { N = CORNER_PARAMETERS, LANES = CORNER_LANES, BLOCK = 3, BLOCK_SIDE = 2 * (CORNER_MAX_RADIUS / BLOCK + 1) + 1 };
+enum {
+    N = CORNER_PARAMETERS,
+    LANES = CORNER_LANES,
+    BLOCK = 3,
+    BLOCK_SIDE = 2 * (CORNER_MAX_RADIUS / BLOCK + 1) + 1
+};
 
 static const double FIRST_RADIUS = 6, USUAL_RADIUS = 10, LEAST_RADIUS = 3; /* px */
 static const double SQUARE_SHARE = 0.6; /* of the distance to the next edge */
-static const double LEAST_BLUR = 0.29; /* px: that of a pixel itself, 1 / sqrt 12 */
-static const double FIRST_STEP = 0.1, LAST_STEP = 5e-3; /* at which a fit ends, px */
+static const double LEAST_BLUR = 0.29;  /* px: that of a pixel itself, 1 / sqrt 12 */
+static const double MOST_RESIDUAL = 0.2, MOST_TURN = 0.5, MOST_SIGMA = 0.5; /* of the contrast; sine; px */
+static const double LEAST_CONTRAST = 4;                                     /* grey levels */
+static const double FIRST_STEP = 0.1, LAST_STEP = 5e-3;                     /* at which a fit ends, px */
 
 /* exp(-y) for 0 <= y <= 16, as the 32nd power of a short series: no branch, no table, vector code. */
 static inline float bell(float y)
@@ -83,7 +90,8 @@ void td_corner_model(corner_window *window, const double parameter[N])
     }
 }
 
-/* Scalar product of whole rows of LANES, in fixed lanes: vector code, and the same sum at any width of vectors. */
+/* Scalar product of whole rows of LANES, in fixed lanes: vector code, and the same sum at any width of
+ * vectors. */
 static double dot(const float *a, const float *b, int count)
 {
     float sum[LANES] = {0};
@@ -116,8 +124,8 @@ static void gather(corner_window *window, const td_image *image, const double ce
     memcpy(window->derivative[CORNER_SLOPE_Y], window->y, (size_t)count * sizeof *window->y);
 }
 
-/* a := lower triangle L of a = L L^T, with the reciprocals of its diagonal in the diagonal's place; false when `a` is
- * not positive. */
+/* a := lower triangle L of a = L L^T, with the reciprocals of its diagonal in the diagonal's place; false
+ * when `a` is not positive. */
 static bool factor(double a[N][N])
 {
     for (int i = 0; i < N; i++) {
@@ -173,7 +181,8 @@ static void first_greys(fit *f, corner_window *window)
 /* Takes the blur out of the normal equations: it stays where it is. */
 static void hold_blur(double normal[N][N], double gradient[N])
 {
-    for (int i = 0; i < N; i++) normal[i > CORNER_BLUR ? i : CORNER_BLUR][i > CORNER_BLUR ? CORNER_BLUR : i] = 0;
+    for (int i = 0; i < N; i++)
+        normal[i > CORNER_BLUR ? i : CORNER_BLUR][i > CORNER_BLUR ? CORNER_BLUR : i] = 0;
     normal[CORNER_BLUR][CORNER_BLUR] = 1;
     gradient[CORNER_BLUR] = 0;
 }
@@ -277,8 +286,8 @@ static bool variances(double *white, double *blocked, const fit *f, corner_windo
             for (int k = 0; k < N; k++) s->shared[c][k] += q[c] * (double)window->derivative[k][i];
         }
     }
-    /* The fit takes its share of the noise out of the residuals: the expectation of sum^2 for noise of variance 1 is
-     * sum q^2 - (sum q J) (J^T J)^-1 (sum q J)^T. */
+    /* The fit takes its share of the noise out of the residuals: the expectation of sum^2 for noise of
+     * variance 1 is sum q^2 - (sum q J) (J^T J)^-1 (sum q J)^T. */
     double seen = 0, expected = 0;
     for (int b = 0; b < SCORES; b++) {
         score *s = &block[b];
@@ -295,44 +304,65 @@ static bool variances(double *white, double *blocked, const fit *f, corner_windo
     return true;
 }
 
+/* Fits in a small window, then in one as large as the squares, the blur and the image allow, until the window
+ * sits on the corner. False when it does not come to rest near `start`. */
+static bool settle(fit *f, corner_window *window, const td_image *image, const double start[2],
+                   double next_edge)
+{
+    double at[2] = {start[0], start[1]}, limit = fmin(SQUARE_SHARE * next_edge, CORNER_MAX_RADIUS);
+    double radius = FIRST_RADIUS;
+    for (int pass = 0; pass < 5; pass++) {
+        double border = fmin(fmin(at[0], image->width - 1 - at[0]), fmin(at[1], image->height - 1 - at[1]));
+        radius = fmin(radius, fmin(limit, border));
+        if (!(radius >= LEAST_RADIUS)) return false;
+        gather(window, image, at, radius);
+        f->parameter[CORNER_X] = at[0] - window->origin[0];
+        f->parameter[CORNER_Y] = at[1] - window->origin[1];
+        if (pass == 0) first_greys(f, window);
+        if (!minimise(f, window, pass == 0 ? FIRST_STEP : LAST_STEP)) return false;
+        double now[2] = {window->origin[0] + f->parameter[CORNER_X],
+                         window->origin[1] + f->parameter[CORNER_Y]};
+        double moved = hypot(now[0] - at[0], now[1] - at[1]);
+        at[0] = now[0], at[1] = now[1];
+        if (!(hypot(at[0] - start[0], at[1] - start[1]) < next_edge / 2)) return false;
+        double wanted = fmin(limit, fmax(USUAL_RADIUS, 4 * f->parameter[CORNER_BLUR]));
+        if (pass > 0 && moved < 0.5 && radius > 0.9 * fmin(wanted, border)) return true;
+        radius = wanted;
+    }
+    return false;
+}
+
+/* A fit is a corner when the model explains the pixels, the lines run as the steps do, and it is well
+ * determined. */
+static bool is_corner(const td_corner *corner, const fit *f, const double start_angle[2])
+{
+    bool along_steps = fabs(sin(f->parameter[CORNER_ANGLE_1] - start_angle[0])) < MOST_TURN &&
+                       fabs(sin(f->parameter[CORNER_ANGLE_2] - start_angle[1])) < MOST_TURN;
+    return along_steps && fabs(corner->contrast) > LEAST_CONTRAST &&
+           corner->residual < MOST_RESIDUAL * fabs(corner->contrast) && corner->sigma < MOST_SIGMA &&
+           corner->white < MOST_SIGMA;
+}
+
 bool td_corner_refine(td_corner *corner, const td_image *image, const double start[2],
                       const double along_column[2], const double along_row[2])
 {
     double cross = along_column[0] * along_row[1] - along_column[1] * along_row[0];
-    double next_edge =
-        fabs(cross) / fmax(hypot(along_column[0], along_column[1]), hypot(along_row[0], along_row[1]));
-    double limit = SQUARE_SHARE * next_edge;
-    if (!(limit >= LEAST_RADIUS) || image->channels != 1) return false;
+    double longer = fmax(hypot(along_column[0], along_column[1]), hypot(along_row[0], along_row[1]));
+    if (image->channels != 1 || !isfinite(start[0]) || !isfinite(start[1]) || !isfinite(longer)) return false;
 
-    fit f = {.parameter = {[CORNER_ANGLE_1] = atan2(along_column[1], along_column[0]),
-                           [CORNER_ANGLE_2] = atan2(along_row[1], along_row[0]),
-                           [CORNER_BLUR] = 1}};
+    double angle[2] = {atan2(along_column[1], along_column[0]), atan2(along_row[1], along_row[0])};
+    fit f = {.parameter = {[CORNER_ANGLE_1] = angle[0], [CORNER_ANGLE_2] = angle[1], [CORNER_BLUR] = 1}};
     corner_window window;
-    double at[2] = {start[0], start[1]}, radius = FIRST_RADIUS;
-    for (int pass = 0; pass < 4; pass++) {
-        double border = fmin(fmin(at[0], image->width - 1 - at[0]), fmin(at[1], image->height - 1 - at[1]));
-        radius = fmin(fmin(radius, limit), fmin(border, CORNER_MAX_RADIUS));
-        if (!(radius >= LEAST_RADIUS)) return false;
-        gather(&window, image, at, radius);
-        f.parameter[CORNER_X] = at[0] - window.origin[0];
-        f.parameter[CORNER_Y] = at[1] - window.origin[1];
-        if (pass == 0) first_greys(&f, &window);
-        if (!minimise(&f, &window, pass == 0 ? FIRST_STEP : LAST_STEP)) return false;
-        double now[2] = {window.origin[0] + f.parameter[CORNER_X], window.origin[1] + f.parameter[CORNER_Y]};
-        double moved = hypot(now[0] - at[0], now[1] - at[1]);
-        at[0] = now[0], at[1] = now[1];
-        if (!(hypot(at[0] - start[0], at[1] - start[1]) < next_edge / 2)) return false;
-        double wanted = fmin(limit, fmax(USUAL_RADIUS, 4 * f.parameter[CORNER_BLUR]));
-        if (pass > 0 && moved < 0.5 && radius > 0.9 * fmin(wanted, CORNER_MAX_RADIUS)) break;
-        radius = wanted;
-    }
     double white, blocked;
+    if (!settle(&f, &window, image, start, fabs(cross) / longer)) return false;
     if (!variances(&white, &blocked, &f, &window)) return false;
-    *corner = (td_corner){.position = {at[0], at[1]},
-                          .sigma = sqrt(blocked),
-                          .white = sqrt(white),
-                          .blur = f.parameter[CORNER_BLUR],
-                          .contrast = 2 * f.parameter[CORNER_HALF],
-                          .residual = sqrt(f.cost / (window.count - N))};
-    return true;
+    /* d1 grows along the row step and d2 against the column step when the steps are right-handed. */
+    *corner = (td_corner){
+        .position = {window.origin[0] + f.parameter[CORNER_X], window.origin[1] + f.parameter[CORNER_Y]},
+        .sigma = sqrt(blocked),
+        .white = sqrt(white),
+        .blur = f.parameter[CORNER_BLUR],
+        .contrast = (cross > 0 ? -2 : 2) * f.parameter[CORNER_HALF],
+        .residual = sqrt(f.cost / (window.count - N))};
+    return is_corner(corner, &f, angle);
 }

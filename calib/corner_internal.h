@@ -17,8 +17,9 @@ enum {
     CORNER_PARAMETERS
 };
 
-enum { CORNER_LANES = 16 };                                /* of vector code; arrays are filled up with zeros */
-enum { CORNER_MAX_RADIUS = 20, CORNER_MAX_PIXELS = 1280 }; /* a disc of radius 20 holds at most 1273 pixels */
+enum { CORNER_LANES = 16 }; /* of vector code: arrays are filled up with zeros to a multiple */
+/* A disc of radius 20 holds fewer pixels than pi (20 + sqrt 0.5)^2 = 1347. */
+enum { CORNER_MAX_RADIUS = 20, CORNER_MAX_PIXELS = 1360 };
 
 /* The pixels of a disc, one array for each quantity, so that the compiler makes vector code. */
 typedef struct corner_window {

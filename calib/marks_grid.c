@@ -364,11 +364,10 @@ static void free_graph(graph *g)
     free(g->pair);
 }
 
-td_status td_marks_lattices(td_lattices *lattices, double *pitch_seen, const td_mark *mark, size_t count,
-                            double pitch, td_error *error)
+td_status td_marks_lattices(td_lattices *lattices, const td_mark *mark, size_t count, double pitch,
+                            td_error *error)
 {
     *lattices = (td_lattices){0};
-    if (pitch_seen) *pitch_seen = 0;
     if (count < LEAST_MARKS) return TD_OK;
     graph g = {.mark = mark, .count = (int)count, .pitch = pitch};
     g.node = malloc(count * sizeof *g.node);
@@ -382,7 +381,6 @@ td_status td_marks_lattices(td_lattices *lattices, double *pitch_seen, const td_
     ok = ok && find_neighbours(&g, pitch > 0 ? MOST_STEP * pitch : 12);
     if (ok && !(pitch > 0)) g.pitch = typical_pitch(&g);
     ok = ok && (!(g.pitch > 0) || grow_all(lattices, &g));
-    if (ok && pitch_seen) *pitch_seen = g.pitch;
     free_graph(&g);
     if (ok) return TD_OK;
     td_lattices_free(lattices);

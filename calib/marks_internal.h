@@ -112,9 +112,11 @@ void td_lattices_free(td_lattices *lattices);
 
 /* `pitch`: distance of neighbouring marks over the radius of a mark; 0: found from the marks. *pitch_seen
  * (may be NULL) = the median of what was found. Lattices of fewer than 4 marks are left out. */
-td_status td_marks_lattices(td_lattices *lattices, double *pitch_seen, const td_mark *mark, size_t count,
-                            double pitch, td_error *error);
+td_status td_marks_lattices(td_lattices *lattices, const td_mark *mark, size_t count, double pitch,
+                            td_error *error);
 
+/* Counts the marks and takes empty outer rows and columns off the bounding box. */
+void td_lattice_trim(td_lattice *lattice);
 /* Takes off the lattice what does not lie on its plane. Distortion may bend the plane smoothly. */
 void td_lattice_discard(td_lattice *lattice, const td_mark *mark);
 
@@ -127,12 +129,38 @@ bool td_lattice_homography(double image_from_lattice[9], const td_lattice *latti
 bool td_lattice_predict(double value[3], const td_lattice *lattice, const td_mark *mark,
                         const double lattice_from_image[9], int column, int row);
 
-/* Applies a homography. */
+/* Image of (x, y) by a homography, and its inverse; false when there is none. */
 void td_homography_map(double out[2], const double h[9], double x, double y);
-/* False when singular. */
 bool td_homography_invert(double inverse[9], const double h[9]);
 /* Semi-axes of a mark, px: minor, major. */
 void td_mark_axes(double axes[2], const td_mark *mark);
+
+/* ---- Numbering. ---- */
+
+typedef struct td_numbering {
+    const td_target *target;
+    const td_mark *mark; /* (marks) */
+    size_t marks;
+    int *of_point; /* (points of the target) index of the mark, -1: not seen */
+    bool seen[TD_TARGET_MAX_PLANES];
+    size_t grid_marks;           /* of the largest grid that was seen, */
+    int grid_columns, grid_rows; /* and its size */
+    char note[160];              /* what stood in the way; "" */
+    bool refused;                /* it was the clicks */
+} td_numbering;
+
+/* Marks of a plane that must be seen. */
+size_t td_marks_needed(const td_target_plane *plane);
+
+/* Numbers the planes not yet seen by the lattices among the marks; clicks on them choose among symmetries. */
+td_status td_marks_number(td_numbering *numbering, const td_click *click, size_t clicks, td_error *error);
+
+/* Numbers the planes with at least 4 clicks by their homographies. */
+td_status td_marks_number_clicked(td_numbering *numbering, const td_click *click, size_t clicks,
+                                  td_error *error);
+
+/* The nearest mark to a click, -1 when the click is far from all; *away (px) is how far. */
+int td_marks_clicked(double *away, const td_numbering *numbering, const td_click *click);
 
 #ifdef __cplusplus
 }

@@ -46,6 +46,31 @@ void td_lattices_free(td_lattices *lattices)
     *lattices = (td_lattices){0};
 }
 
+void td_lattice_trim(td_lattice *lattice)
+{
+    int low[2] = {lattice->columns, lattice->rows}, high[2] = {-1, -1};
+    size_t count = 0;
+    for (int r = 0, i = 0; r < lattice->rows; r++) {
+        for (int c = 0; c < lattice->columns; c++, i++) {
+            if (lattice->mark[i] < 0) continue;
+            count++;
+            if (c < low[0]) low[0] = c;
+            if (c > high[0]) high[0] = c;
+            if (r < low[1]) low[1] = r;
+            if (r > high[1]) high[1] = r;
+        }
+    }
+    int columns = high[0] - low[0] + 1, rows = high[1] - low[1] + 1;
+    if (columns < 1) columns = rows = 0;
+    for (int r = 0; r < rows; r++)
+        for (int c = 0; c < columns; c++)
+            lattice->mark[r * columns + c] =
+                lattice->mark[(size_t)(r + low[1]) * lattice->columns + c + low[0]];
+    lattice->columns = columns;
+    lattice->rows = rows;
+    lattice->count = count;
+}
+
 bool td_lattice_homography(double image_from_lattice[9], const td_lattice *lattice, const td_mark *mark)
 {
     double *plane = malloc(4 * lattice->count * sizeof *plane), *image = plane + 2 * lattice->count;
@@ -128,23 +153,38 @@ bool td_lattice_predict(double value[3], const td_lattice *lattice, const td_mar
            fit_neighbours(value, lattice, mark, lattice_from_image, column, row, LINEAR);
 }
 
+/* Sum of what is off by more than is allowed, over all marks. */
+static double total_off(const td_lattice *lattice, const td_mark *mark, const double lattice_from_image[9])
+{
+    double sum = 0;
+    for (int r = 0, i = 0; r < lattice->rows; r++)
+        for (int c = 0; c < lattice->columns; c++, i++)
+            if (lattice->mark[i] >= 0) sum += fmax(share_off(lattice, mark, lattice_from_image, c, r) - 1, 0);
+    return sum;
+}
+
 void td_lattice_discard(td_lattice *lattice, const td_mark *mark)
 {
-    /* The worst goes first: it spoils its neighbours' predictions. */
-    for (;;) {
-        double h[9], inverse[9], worst = 1;
-        size_t at = SIZE_MAX;
-        if (!td_lattice_homography(h, lattice, mark) || !td_homography_invert(inverse, h)) return;
-        for (int r = 0, i = 0; r < lattice->rows; r++) {
-            for (int c = 0; c < lattice->columns; c++, i++) {
-                double off = lattice->mark[i] < 0 ? 0 : share_off(lattice, mark, inverse, c, r);
-                if (!(off > worst)) continue;
-                worst = off;
-                at = (size_t)i;
-            }
+    double h[9], inverse[9];
+    while (td_lattice_homography(h, lattice, mark) && td_homography_invert(inverse, h)) {
+        double now = total_off(lattice, mark, inverse), least = now;
+        if (!(now > 0)) break;
+        /* A wrong mark spoils its neighbours' predictions: the one without which the rest agrees best is it.
+         */
+        int culprit = -1;
+        for (int i = 0; i < lattice->rows * lattice->columns; i++) {
+            int m = lattice->mark[i];
+            if (m < 0 || share_off(lattice, mark, inverse, i % lattice->columns, i / lattice->columns) <= 1)
+                continue;
+            lattice->mark[i] = -1;
+            double without = total_off(lattice, mark, inverse);
+            lattice->mark[i] = m;
+            if (culprit >= 0 && without >= least) continue;
+            least = without;
+            culprit = i;
         }
-        if (at == SIZE_MAX) return;
-        lattice->mark[at] = -1;
+        if (culprit < 0) break;
+        lattice->mark[culprit] = -1;
         lattice->count--;
     }
 }

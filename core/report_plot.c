@@ -4,10 +4,8 @@
  * A drawing is laid out in pixels of a desktop screen and shrinks with its column. On a phone its text is set
  * larger instead (core/report_style.c), so the layout leaves each character the room that it needs there. */
 #include <math.h>
-#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "core/report_internal.h"
 
@@ -210,7 +208,7 @@ static double plan_names(axis *a, const plot_format *f)
 /* Numbers along x; their number shrinks until the labels stand apart. */
 static void plan_numbers(axis *a, const plot_format *f)
 {
-    double spacing = 6 * f->glyph;
+    double spacing = 5 * f->glyph;
     for (int i = 0; i < LABEL_TRIES; i++) {
         plan_ticks(a, spacing);
         double needed = (double)(longest_label(a) + 2) * f->glyph;
@@ -270,7 +268,9 @@ static void plan_layout(layout *l, const td_axes *axes, const td_series *series,
     settle_range(&l->y, y, axes->y_min, axes->y_max, 0.06);
     if (axes->equal) limit_shape(&l->x, &l->y);
 
-    l->y.length = l->height = f->height;
+    /* With equal units the height follows from the width, and that from the labels of the highest plot. */
+    l->height = f->height;
+    l->y.length = axes->equal ? f->tall : f->height;
     plan_ticks(&l->y, 1.9 * f->line);
     l->left = left_margin(l, axes);
     l->width = f->width - l->left - right;

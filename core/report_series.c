@@ -9,7 +9,6 @@
  * by its tallest bar. A series is one path for its marks and one for its vectors; a point is a line of no
  * length with a round cap. */
 #include <math.h>
-#include <stdint.h>
 #include <stdlib.h>
 
 #include "core/report_internal.h"

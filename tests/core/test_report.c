@@ -737,8 +737,10 @@ static void test_names(void **state)
     td_report_plot(report, &(td_axes){.x_names = (const char *const[]){"left", "right"}, .x_name_count = 2},
                    &series, 1);
     /* Axes that reach beyond the names show those that there are. */
-    td_axes beyond = {
-        .x_names = (const char *const[]){"left", "right"}, .x_name_count = 2, .x_min = -3, .x_max = 4};
+    td_axes beyond = {.x_names = (const char *const[]){"left", "right", "ghost"},
+                      .x_name_count = 2,
+                      .x_min = -3,
+                      .x_max = 4};
     td_report_plot(report, &beyond, &series, 1);
     td_report_heading(report, "many");
     td_report_plot(report, &(td_axes){.x_names = names, .x_name_count = MANY}, &series, 1);
@@ -747,6 +749,7 @@ static void test_names(void **state)
     const char *many = find(text, "<h2");
     assert_int_equal(count_of(text, ">left</text>"), 2);
     assert_int_equal(count_of(text, ">right</text>"), 2);
+    assert_null(strstr(text, "ghost"));
     assert_true(strstr(text, "rotate(-45)") > many); /* two have room, 300 do not */
     size_t shown = count_of(many, "rotate(-45)");
     if (shown < 10 || shown > 60) fail_msg("%zu names of %d", shown, MANY);

@@ -1,0 +1,67 @@
+/* Rows of the benchmark: ours beside a peer on the same input in the same run, accuracy beside speed. */
+#ifndef TELEDIMOS_TESTS_BENCH_H
+#define TELEDIMOS_TESTS_BENCH_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct bench_row {
+    const char *name, *unit;       /* unit "s", "ms", "MB": less is better; "1/s": more is better */
+    double ours, peer;             /* medians; NaN: not measured */
+    const char *peer_name;
+    const char *error_unit;        /* NULL: no accuracy to compare */
+    double error_ours, error_peer; /* NaN: unknown */
+    int runs;
+    const char *remark;            /* why a peer is missing; NULL */
+} bench_row;
+
+typedef struct bench {
+    const char *filter, *program, *source; /* --filter, path of teledimos, source folder */
+    bool json;
+} bench;
+
+/* Prints a row. */
+void bench_print(const bench *b, const bench_row *row);
+bool bench_wanted(const bench *b, const char *name);
+
+/* Seconds on the monotonic clock. */
+double bench_now(void);
+double bench_median(double *x, size_t n);
+
+/* A function timed `runs` times after one warm-up; the median. */
+typedef void (*bench_function)(void *user);
+double bench_time(bench_function function, void *user, int runs);
+
+/* A command, output thrown away: median wall time of `runs` after one warm-up, largest peak memory (MB; may be NULL).
+ * Negative when it cannot be run or fails. */
+double bench_command(const char *const *argv, int runs, double *peak_mb);
+
+/* bench_calibrate.c */
+void bench_calibrate(const bench *b);
+
+/* bench_opencv.cpp: OpenCV on the same points. n views of (points,2) pixels in each image; outputs RMS (px), baseline (m). */
+typedef struct bench_stereo {
+    const double *left, *right; /* (views,points,2) */
+    size_t views;
+    int columns, rows, width, height;
+    double spacing;
+    double rms_px, baseline_m; /* out */
+} bench_stereo;
+void bench_opencv_stereo(void *stereo);
+
+typedef struct bench_corners {
+    const unsigned char *const *image; /* (images) grey */
+    size_t images;
+    int width, height, columns, rows;
+    size_t found; /* out */
+} bench_corners;
+void bench_opencv_corners(void *corners);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,25 @@
+/* Any bytes as a dataset: no crash. The bytes up to the first 0 are dataset.yaml, those behind it frames.csv.
+ */
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/dataset.h"
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    const uint8_t *end = size ? memchr(data, 0, size) : NULL;
+    const char *yaml = (const char *)data, *csv = end ? (const char *)end + 1 : "";
+    const size_t yaml_size = end ? (size_t)(end - data) : size, csv_size = end ? size - yaml_size - 1 : 0;
+    td_error error = {0};
+    td_dataset *dataset = NULL;
+    td_status status = td_dataset_parse(&dataset, yaml, yaml_size, csv, csv_size, "fuzz", &error);
+    if ((status == TD_OK) != (dataset != NULL)) abort();
+    if (status != TD_OK && !error.message[0]) abort();
+    if (status == TD_OK && (dataset->frame_count == 0 || td_target_check(&dataset->target, &error) != TD_OK))
+        abort();
+    td_dataset_free(&dataset);
+    return 0;
+}
