@@ -46,21 +46,37 @@ void calibrate_table(const calibrate_job *job)
     for (size_t i = 0; i < job->gate->count; i++) printf("  - %s\n", job->gate->reason[i]);
 }
 
+/* A row for each parameter, two columns for each camera. Cameras may be of different models: names join rows. */
 static void camera_table(td_report *r, const td_calibration *c)
 {
-    static const char *const heads[] = {"camera", "parameter", "value", "σ", "σ / value"};
-    td_report_table_begin(r, heads, 5);
+    const char *heads[1 + 2 * TD_RIG_MAX_CAMERAS], *rows[64];
+    char text[2 * TD_RIG_MAX_CAMERAS][TD_NAME_SIZE + 16];
+    size_t n = 0, row_count = 0;
+    heads[n++] = "parameter";
     for (int i = 0; i < c->rig->count; i++) {
-        const td_camera *camera = &c->rig->camera[i].camera;
-        for (int k = 0; k < td_camera_parameter_count(camera->model); k++) {
-            double value = camera->parameter[k], sigma = c->camera[i].sigma[k];
-            td_report_cell(r, TD_TONE_PLAIN, "%s", c->rig->camera[i].name);
-            td_report_cell(r, TD_TONE_PLAIN, "%s%s", td_camera_parameter_name(camera->model, k), k < 4 ? " (px)" : "");
-            td_report_cell(r, TD_TONE_PLAIN, k < 4 ? "%.3f" : "%.6f", value);
-            td_report_cell(r, TD_TONE_PLAIN, k < 4 ? "%.3f" : "%.6f", sigma);
-            td_report_cell(r, TD_TONE_PLAIN, "%.2f %%", 100 * sigma / fabs(value));
-            td_report_row_end(r);
+        snprintf(text[2 * i], sizeof *text, "%s", c->rig->camera[i].name);
+        snprintf(text[2 * i + 1], sizeof *text, "σ");
+        heads[n++] = text[2 * i];
+        heads[n++] = text[2 * i + 1];
+        td_camera_model model = c->rig->camera[i].camera.model;
+        for (int k = 0; k < td_camera_parameter_count(model); k++) {
+            size_t row = 0;
+            while (row < row_count && strcmp(rows[row], td_camera_parameter_name(model, k)) != 0) row++;
+            if (row == row_count) rows[row_count++] = td_camera_parameter_name(model, k);
         }
+    }
+    td_report_table_begin(r, heads, n);
+    for (size_t row = 0; row < row_count; row++) {
+        bool pixels = rows[row][0] == 'f' || rows[row][0] == 'c';
+        td_report_cell(r, TD_TONE_PLAIN, "%s%s", rows[row], pixels ? " (px)" : "");
+        for (int i = 0; i < c->rig->count; i++) {
+            const td_camera *camera = &c->rig->camera[i].camera;
+            int k = td_camera_parameter_count(camera->model) - 1;
+            while (k >= 0 && strcmp(rows[row], td_camera_parameter_name(camera->model, k)) != 0) k--;
+            td_report_cell(r, TD_TONE_PLAIN, k < 0 ? "–" : pixels ? "%.3f" : "%.6f", k < 0 ? 0 : camera->parameter[k]);
+            td_report_cell(r, TD_TONE_PLAIN, k < 0 ? "–" : pixels ? "%.3f" : "%.6f", k < 0 ? 0 : c->camera[i].sigma[k]);
+        }
+        td_report_row_end(r);
     }
     td_report_table_end(r);
 }
@@ -256,7 +272,7 @@ static void pictures(td_report *r, const calibrate_job *job)
                 else
                     snprintf(caption, sizeof caption, "%s, %s: %s", job->observations->view_name[v],
                              job->observations->camera[k].name, d->reason);
-                td_report_picture(r, image, 480, caption, series, 2);
+                td_report_picture(r, image, 480, caption, series, g.count[1] ? 2 : 1);
                 shown++;
                 gathered_free(&g);
             }

@@ -197,13 +197,15 @@ static td_status update_shift(td_bundle *bundle, td_error *error)
     return TD_OK;
 }
 
-/* A solve, with the marks' shift, which depends slowly on the solution, brought up to date around it. */
-static td_status solve(td_bundle *bundle, const td_loss *loss, td_calibration *result,
+/* A solve, with the marks' shift, which depends slowly on the solution, brought up to date around it. What a later solve
+ * starts from need not be `precise`. */
+static td_status solve(td_bundle *bundle, const td_loss *loss, bool precise, td_calibration *result,
                        const td_calibrate_options *options, td_error *error)
 {
     td_solve_summary summary;
     td_solve_options solve_options = td_solve_options_default();
     solve_options.log = options->log;
+    solve_options.function_tolerance = precise ? 1e-12 : 1e-6;
     bool marks = bundle->observations->target.kind == TD_TARGET_MARKS;
     for (int round = 0; round < (marks ? 3 : 1); round++) {
         if (marks) TD_TRY(update_shift(bundle, error));
@@ -221,46 +223,54 @@ static td_status solve_robustly(td_bundle *bundle, td_calibration *result, const
 {
     for (int c = 0; c < bundle->rig->count; c++) bundle->noise[c] = fmax(td_robust_noise(bundle, c), LEAST_NOISE);
     const td_loss loss = {TD_LOSS_CAUCHY, 2.5, 2};
-    TD_TRY(solve(bundle, &loss, result, options, error));
+    TD_TRY(solve(bundle, &loss, false, result, options, error));
     bundle->own_sigma = true;
     bool changed = true;
     for (int round = 0; round < MOST_ROUNDS && changed; round++) {
         TD_TRY(td_outliers_mark(&changed, bundle, result, options, error));
         if (round && !changed) break;
         estimate_noise(bundle);
-        TD_TRY(solve(bundle, NULL, result, options, error));
+        TD_TRY(solve(bundle, NULL, true, result, options, error));
         changed = true;
     }
     return TD_OK;
 }
 
+static bool warp_possible(const td_bundle *bundle)
+{
+    const td_observations *o = bundle->observations;
+    size_t views = 0;
+    for (size_t v = 0; v < o->view_count; v++) {
+        bool used = false;
+        for (int c = 0; c < bundle->rig->count; c++) used |= td_bundle_used(bundle, v, c) > 0;
+        views += used;
+        if (!isnan(o->height_m[v])) return false;
+    }
+    return o->target.plane_count == 1 && views >= 5;
+}
+
+/* Adds the warp and, on AUTO, goes back to where it was when the warp is not significant. */
 static td_status choose_warp(td_bundle *bundle, td_calibration *result, const td_calibrate_options *options,
                              td_error *error)
 {
-    const td_target *target = &bundle->observations->target;
-    size_t views = 0;
-    bool rail = false;
-    for (size_t v = 0; v < bundle->observations->view_count; v++) {
-        views += td_bundle_used(bundle, v, 0) > 0;
-        rail |= !isnan(bundle->observations->height_m[v]);
-    }
-    bool possible = target->plane_count == 1 && !rail && views >= 5;
-    if (options->warp == TD_WARP_OFF || options->plain || !possible) return TD_OK;
-    double chi2 = 0, noise[TD_RIG_MAX_CAMERAS];
-    memcpy(noise, bundle->noise, sizeof noise);
+    if (options->warp == TD_WARP_OFF || !warp_possible(bundle)) return TD_OK;
+    td_bundle flat;
+    double chi2 = INFINITY;
+    TD_TRY(td_bundle_copy(&flat, bundle, error));
     bundle->use_warp = true;
-    TD_TRY(solve(bundle, NULL, result, options, error));
-    if (options->warp == TD_WARP_AUTO) {
+    td_status status = solve(bundle, NULL, true, result, options, error);
+    if (status == TD_OK) {
         estimate_noise(bundle);
-        TD_TRY(td_trust_warp(&chi2, bundle, error));
-        if (chi2 < WARP_SIGNIFICANT) {
-            bundle->use_warp = false;
-            bundle->warp[0] = bundle->warp[1] = 0;
-            memcpy(bundle->noise, noise, sizeof noise);
-            TD_TRY(solve(bundle, NULL, result, options, error));
-        }
+        status = solve(bundle, NULL, true, result, options, error);
     }
-    return TD_OK;
+    if (status == TD_OK && options->warp == TD_WARP_AUTO) status = td_trust_warp(&chi2, bundle, error);
+    if (chi2 < WARP_SIGNIFICANT) {
+        td_bundle kept = *bundle;
+        *bundle = flat;
+        flat = kept;
+    }
+    td_bundle_free(&flat);
+    return status;
 }
 
 static void fill_cameras(td_calibration *result, const td_bundle *bundle)
@@ -354,7 +364,7 @@ static td_status run(td_calibration *result, td_bundle *bundle, td_observations 
     take_known(bundle, options);
     TD_TRY(td_rig_start(bundle, observations, result, options, error));
     if (options->plain) {
-        TD_TRY(solve(bundle, NULL, result, options, error));
+        TD_TRY(solve(bundle, NULL, true, result, options, error));
         /* One noise for all points leaves the solution as it is and gives the covariance its scale. */
         size_t points;
         double sum = td_bundle_square_sum(bundle, -1, &points);

@@ -36,38 +36,56 @@ static td_status depth_ratio(double *ratio, const double *point, const double ce
     return TD_OK;
 }
 
-/* Rows q1 (4), q2 (4), t3 as the vector x (9) and q3's direction y (3): minimise |B x + C y|, |y| = 1. y is the
- * eigenvector of C^T C - C^T B (B^T B)^-1 B^T C with the smallest eigenvalue, x = -(B^T B)^-1 B^T C y. */
-static td_status solve_constrained(double x[9], double y[3], const double *point, const double *pixel, size_t n,
-                                   td_error *error)
+/* whiten (4,4) = N^-1/2 of N = sum of (m, 1) (m, 1)^T: in the homogeneous points whiten (m, 1) sums become the identity.
+ * Centred points only: N is their moment and their number. */
+static td_status whitening(double whiten[16], const double *point, size_t n, td_error *error)
 {
-    double bb[81] = {0}, bc[27] = {0}, cc[9] = {0};
+    double moment[9] = {0}, value[3], vector[9];
     for (size_t i = 0; i < n; i++)
-        for (int k = 0; k < 2; k++) {
-            const double *m = point + 3 * i, u = pixel[2 * i + k];
-            double b[9] = {0}, c[3] = {-u * m[0], -u * m[1], -u * m[2]};
-            for (int a = 0; a < 3; a++) b[4 * k + a] = m[a];
-            b[4 * k + 3] = 1;
-            b[8] = -u;
-            for (int r = 0; r < 9; r++) {
-                for (int s = 0; s < 9; s++) bb[9 * r + s] += b[r] * b[s];
-                for (int s = 0; s < 3; s++) bc[3 * r + s] += b[r] * c[s];
-            }
-            for (int r = 0; r < 3; r++)
-                for (int s = 0; s < 3; s++) cc[3 * r + s] += c[r] * c[s];
-        }
-    double inverse[81], map[27], d[9], value[3], vector[9];
-    if (td_invert_spd(inverse, bb, 9, NULL) != TD_OK)
-        return td_fail(error, TD_ERROR_DATA, "Faugeras-Toscani: the points do not determine the camera");
-    td_multiply(map, inverse, bc, 9, 9, 3);
+        for (int k = 0; k < 9; k++) moment[k] += point[3 * i + k / 3] * point[3 * i + k % 3];
+    TD_TRY(td_eigen_symmetric(value, vector, moment, 3, error));
+    for (int k = 0; k < 16; k++) whiten[k] = 0;
     for (int r = 0; r < 3; r++)
-        for (int s = 0; s < 3; s++) {
-            d[3 * r + s] = cc[3 * r + s];
-            for (int k = 0; k < 9; k++) d[3 * r + s] -= bc[3 * k + r] * map[3 * k + s];
+        for (int s = 0; s < 3; s++)
+            for (int k = 0; k < 3; k++) whiten[4 * r + s] += vector[3 * k + r] * vector[3 * k + s] / sqrt(value[k]);
+    whiten[15] = 1 / sqrt((double)n);
+    return TD_OK;
+}
+
+/* The rows q1, q2, q3 (3,4) that minimise the sum of (q1 m - u q3 m)^2 + (q2 m - v q3 m)^2, up to their scale.
+ *
+ * For a given q3 the best q1 and q2 are linear in it, q1 = N^-1 A_u q3 with A_u = sum of u m m^T, and so is the form in
+ * q3 that remains: sum of (u^2 + v^2) m m^T - A_u N^-1 A_u - A_v N^-1 A_v. Its minimum under |q3's direction| = 1 is
+ * biased: a pixel's noise is multiplied by the depth q3 m, so that depths, and the focal length with them, come out too
+ * small, at 1 px by half. With the noise's share, sigma^2 times twice the sum of the squared depths q3^T N q3, taken off
+ * (Kanatani's renormalisation) the minimum is the smallest eigenvector relative to N, which no change of frame alters
+ * either; the constraint is left with the scale. */
+static td_status minimise(double q[12], const double *point, const double *pixel, size_t n, td_error *error)
+{
+    double whiten[16], a[2][16] = {{0}}, form[16] = {0}, square[16], value[4], vector[16];
+    TD_TRY(whitening(whiten, point, n, error));
+    for (size_t i = 0; i < n; i++) {
+        const double m[4] = {point[3 * i], point[3 * i + 1], point[3 * i + 2], 1}, *u = pixel + 2 * i;
+        double w[4];
+        td_multiply(w, whiten, m, 4, 4, 1);
+        for (int k = 0; k < 16; k++) {
+            double ww = w[k / 4] * w[k % 4];
+            a[0][k] += u[0] * ww;
+            a[1][k] += u[1] * ww;
+            form[k] += (u[0] * u[0] + u[1] * u[1]) * ww;
         }
-    TD_TRY(td_eigen_symmetric(value, vector, d, 3, error));
-    memcpy(y, vector, 3 * sizeof *y);
-    for (int r = 0; r < 9; r++) x[r] = -dot3(map + 3 * r, y);
+    }
+    for (int c = 0; c < 2; c++) {
+        td_multiply(square, a[c], a[c], 4, 4, 4);
+        for (int k = 0; k < 16; k++) form[k] -= square[k];
+    }
+    TD_TRY(td_eigen_symmetric(value, vector, form, 4, error));
+    if (!(value[1] > 1e-10 * value[3]))
+        return td_fail(error, TD_ERROR_DATA, "Faugeras-Toscani: the points do not determine the camera");
+    double rows[12];
+    for (int c = 0; c < 2; c++) td_multiply(rows + 4 * c, a[c], vector, 4, 4, 1);
+    memcpy(rows + 8, vector, 4 * sizeof *vector);
+    td_multiply(q, rows, whiten, 3, 4, 4);
     return TD_OK;
 }
 
@@ -95,7 +113,8 @@ static td_status decompose(double intrinsics[4], double *skew, td_pose *pose, co
                  r[2] * (r[3] * r[7] - r[4] * r[6]);
     if (det < 0)
         return td_fail(error, TD_ERROR_DATA,
-                       "Faugeras-Toscani: the points are seen as in a mirror; check the order of their numbers");
+                       "Faugeras-Toscani: the points are seen as in a mirror; check the order of their numbers, and that "
+                       "heights (height_m) grow towards the camera");
     double t[3] = {0, (p[7] - cy * p[11]) / fy, p[11]};
     t[0] = (p[3] - cx * p[11] - s * t[1]) / fx;
     TD_TRY(td_nearest_rotation(nearest, r, error));
@@ -128,16 +147,13 @@ td_status td_faugeras_toscani(double p[12], double intrinsics[4], double *skew, 
         for (int k = 0; k < 3; k++) m[3 * i + k] = (point[3 * i + k] - m0[k]) / m_scale;
         for (int k = 0; k < 2; k++) u[2 * i + k] = (pixel[2 * i + k] - u0[k]) / u_scale;
     }
-    double x[9], y[3], q[12];
-    td_status status = solve_constrained(x, y, m, u, n, error);
+    double q[12];
+    td_status status = minimise(q, m, u, n, error);
     free(scaled);
     TD_TRY(status);
-    double sign = x[8] < 0 ? -1 : 1; /* the target is in front of the camera */
-    for (int k = 0; k < 4; k++) {
-        q[k] = sign * x[k];
-        q[4 + k] = sign * x[4 + k];
-        q[8 + k] = sign * (k < 3 ? y[k] : x[8]);
-    }
+    /* The scale at which the third row is a direction, and the sign with which the target is in front of the camera. */
+    double scale = (q[11] < 0 ? -1 : 1) / sqrt(dot3(q + 8, q + 8));
+    for (int k = 0; k < 12; k++) q[k] *= scale;
     /* Undo: rows of pixels, then columns of points. */
     for (int r = 0; r < 2; r++)
         for (int k = 0; k < 4; k++) q[4 * r + k] = u_scale * q[4 * r + k] + u0[r] * q[8 + k];

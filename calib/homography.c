@@ -19,7 +19,8 @@ static bool normalise(normaliser *n, const double *point, size_t count)
     double mean = 0;
     for (size_t i = 0; i < count; i++)
         mean += hypot(point[2 * i] - n->centre[0], point[2 * i + 1] - n->centre[1]) / (double)count;
-    if (!(mean > 0) || !isfinite(mean)) return false;
+    /* Of points that coincide rounding leaves a little. */
+    if (!(mean > 1e-12 * hypot(n->centre[0], n->centre[1])) || !isfinite(mean)) return false;
     n->scale = sqrt(2.0) / mean;
     return true;
 }
@@ -60,6 +61,7 @@ bool td_focal_from_homographies(double focal[2], const double centre[2], const d
     double *a = malloc(6 * n * sizeof *a), x[2];
     if (!a) return false;
     double *b = a + 4 * n;
+    bool tilted = false;
     for (size_t i = 0; i < n; i++) {
         /* Columns of the homography with the principal point moved to the origin, and their sum and difference:
          * both pairs are orthogonal on the plane. */
@@ -70,6 +72,9 @@ bool td_focal_from_homographies(double focal[2], const double centre[2], const d
             c[2][k] = w[k];
         }
         for (int r = 0; r < 3; r++) length += c[r][0] * c[r][0] + c[r][1] * c[r][1];
+        /* |w|^2 / length = (sine of the tilt / focal length in px)^2: some 1e-6^2 for a view that tells, rounding
+         * (1e-16^2) for one that is parallel to the image. */
+        tilted = tilted || w[0] * w[0] + w[1] * w[1] > 1e-24 * length;
         for (int r = 0; r < 2; r++) {
             d[r][0] = c[r][0] * c[r][1] / length;
             d[r][1] = (c[r][0] * c[r][0] - c[r][1] * c[r][1]) / length;
@@ -92,7 +97,7 @@ bool td_focal_from_homographies(double focal[2], const double centre[2], const d
         x[0] = x[1] = aa > 0 ? ab / aa : 0;
     }
     free(a);
-    if (status != TD_OK || rank < 1 || !(x[0] > 0 && x[1] > 0)) return false;
+    if (status != TD_OK || !tilted || rank < 1 || !(x[0] > 0 && x[1] > 0)) return false;
     focal[0] = 1 / sqrt(x[0]);
     focal[1] = 1 / sqrt(x[1]);
     return isfinite(focal[0]) && isfinite(focal[1]);

@@ -11,7 +11,8 @@
 #include "calib/marks_internal.h"
 
 enum {
-    MIN_AREA = 6, /* px^2: smaller blobs are noise, and have no shape to speak of */
+    MIN_BORDER = 10, /* px: of the least area */
+    MIN_AREA = 6,    /* px^2: smaller blobs are noise, and have no shape to speak of */
     NOISE_BINS = 8 * 256,
     MAX_RADIUS = 1000, /* px, of the largest window */
     SMOOTH_ABOVE = 5,  /* grey levels of noise above which the image is smoothed before it is binarised */
@@ -222,7 +223,7 @@ static bool collect(pass *p, bool light)
             size_t n = walk(p, x, y);
             if (!n) return false;
             td_blob blob = {.light = light};
-            if (!measure(&blob, p->edge, n) || !is_elliptical(&blob, p->edge, n)) continue;
+            if (n < MIN_BORDER || !measure(&blob, p->edge, n) || !is_elliptical(&blob, p->edge, n)) continue;
             bool inside = true;
             for (size_t i = 0; i < n && inside; i++)
                 inside = p->edge[i].x > 1 && p->edge[i].y > 1 && p->edge[i].x < w - 1 && p->edge[i].y < h - 1;
@@ -244,7 +245,7 @@ static bool collect(pass *p, bool light)
 static bool all_windows(pass *p, td_mark_polarity polarity, int delta)
 {
     int larger = p->width > p->height ? p->width : p->height;
-    for (int radius = 8; radius == 8 || (radius < larger / 5 && radius < MAX_RADIUS); radius *= 3) {
+    for (int radius = 8; radius == 8 || (radius < larger / 5 && radius < MAX_RADIUS); radius *= 4) {
         for (int x = 0; x < p->width; x++) {
             int left = x - radius > 0 ? x - radius : 0,
                 right = x + radius < p->width ? x + radius : p->width - 1;

@@ -105,12 +105,22 @@ static ellipse ellipse_of(const double *edge)
     return e;
 }
 
-/* Signed distance of a pixel from the edge to first order (Sampson 1982), px; negative inside. */
-static double distance_to_edge(const ellipse *e, double x, double y)
+/* A pixel's distance from the edge to first order (Sampson 1982) is excess / slope, px; both squared below,
+ * because there are many pixels. excess < 0: inside. */
+typedef struct offset {
+    double excess, slope2;
+} offset;
+
+static offset offset_at(const ellipse *e, double x, double y)
 {
     double dx = x - e->x, dy = y - e->y;
     double gx = e->inverse2[0] * dx + e->inverse2[1] * dy, gy = e->inverse2[1] * dx + e->inverse2[2] * dy;
-    return 0.5 * (gx * dx + gy * dy - 1) / sqrt(gx * gx + gy * gy + 1e-30);
+    return (offset){gx * dx + gy * dy - 1, 4 * (gx * gx + gy * gy)};
+}
+
+static bool is_within(offset o, double distance)
+{
+    return o.excess * o.excess < distance * distance * o.slope2;
 }
 
 /* The window around the ellipse with `margin` px on each side, clipped to the image. */
@@ -140,7 +150,7 @@ static bool choose_pixels(problem *p, double band, bool *memory)
         const uint8_t *row = p->image->data + (size_t)(w->y0 + j) * p->image->width + w->x0;
         for (int k = 0; k < w->width; k++, i++) {
             double x = w->x0 + k, y = w->y0 + j;
-            bool near = fabs(distance_to_edge(&e, x, y)) < band;
+            bool near = is_within(offset_at(&e, x, y), band);
             p->fit->slot[i] = near ? p->rows : -1;
             if (near) p->fit->pixel[p->rows++] = (td_mark_pixel){.index = i, .x = x, .y = y, .grey = row[k]};
         }
@@ -162,12 +172,12 @@ static void sum_cost(problem *p)
     }
 }
 
-/* Coverage, its derivatives, residuals and the cost at p. */
-static void evaluate(problem *p)
+/* Coverage, residuals and the cost at p, and the coverage's derivatives if wanted. */
+static void evaluate(problem *p, bool derivatives)
 {
     td_mark_fit *f = p->fit;
-    memset(f->d_edge, 0, (size_t)p->rows * TD_EDGE_PARAMETERS * sizeof *f->d_edge);
-    td_mark_cover(f->cover, f->d_edge, &p->window, p->p, &f->table);
+    if (derivatives) memset(f->d_edge, 0, (size_t)p->rows * TD_EDGE_PARAMETERS * sizeof *f->d_edge);
+    td_mark_cover(f->cover, derivatives ? f->d_edge : NULL, &p->window, p->p, &f->table);
     const double *q = p->p;
     for (int i = 0; i < p->rows; i++) {
         td_mark_pixel *px = &f->pixel[i];
@@ -177,18 +187,17 @@ static void evaluate(problem *p)
     sum_cost(p);
 }
 
-/* A block of the Jacobian of the grey levels, and the residuals as its last column; column-major, outliers as
- * zeros.
- */
-enum { BLOCK = 32 };
+/* Four rows of the Jacobian of the grey levels side by side, which the compiler keeps in vectors, and the
+ * residuals as the last column. Outliers are zeros. */
+enum { LANES = 4 };
 typedef struct block {
-    float j[PARAMETERS + 1][BLOCK];
+    float j[PARAMETERS + 1][LANES];
 } block;
 
 static void fill_block(block *b, const problem *p, int first)
 {
     const double *q = p->p, contrast = q[INSIDE] - q[OUTSIDE];
-    for (int i = 0; i < BLOCK; i++) {
+    for (int i = 0; i < LANES; i++) {
         const td_mark_pixel *px = &p->fit->pixel[first + i];
         if (first + i >= p->rows || px->outlier) {
             for (int k = 0; k <= PARAMETERS; k++) b->j[k][i] = 0;
@@ -207,35 +216,32 @@ static void fill_block(block *b, const problem *p, int first)
     }
 }
 
-/* Four sums side by side, which the compiler may keep in vectors. */
-static double dot(const float a[BLOCK], const float b[BLOCK])
+/* g = J^T r and, if wanted, h = J^T J, with the prior. */
+static void normal_equations(problem *p, bool matrix)
 {
-    float s[4] = {0};
-    for (int i = 0; i < BLOCK; i += 4)
-        for (int k = 0; k < 4; k++) s[k] += a[i + k] * b[i + k];
-    return (s[0] + s[1]) + (s[2] + s[3]);
-}
-
-/* h = J^T J, g = J^T r, with the prior. */
-static void normal_equations(problem *p)
-{
-    double *h = p->h, *g = p->g;
-    memset(h, 0, sizeof p->h);
-    memset(g, 0, sizeof p->g);
-    for (int first = 0; first < p->rows; first += BLOCK) {
+    float sum[PARAMETERS + 1][PARAMETERS + 1][LANES] = {{{0}}};
+    for (int first = 0; first < p->rows; first += LANES) {
         block b;
         fill_block(&b, p, first);
-        for (int k = 0; k < PARAMETERS; k++) {
-            g[k] += dot(b.j[k], b.j[PARAMETERS]);
-            for (int l = 0; l <= k; l++) h[k * PARAMETERS + l] += dot(b.j[k], b.j[l]);
+        for (int k = matrix ? 0 : PARAMETERS; k <= PARAMETERS; k++)
+            for (int l = 0; l <= k; l++)
+                for (int i = 0; i < LANES; i++) sum[k][l][i] += b.j[k][i] * b.j[l][i];
+    }
+    double *h = p->h, *g = p->g;
+    for (int k = 0; k <= PARAMETERS; k++) {
+        for (int l = 0; l <= k && l < PARAMETERS; l++) {
+            const float *s = sum[k][l];
+            double total = ((double)s[0] + s[1]) + ((double)s[2] + s[3]);
+            if (k == PARAMETERS)
+                g[l] = total;
+            else if (matrix)
+                h[k * PARAMETERS + l] = h[l * PARAMETERS + k] = total;
         }
     }
     for (int k = TD_EDGE_E3C; k <= TD_EDGE_E3S; k++) {
-        h[k * PARAMETERS + k] += p->bulge_weight;
+        if (matrix) h[k * PARAMETERS + k] += p->bulge_weight;
         g[k] -= p->bulge_weight * p->p[k];
     }
-    for (int k = 0; k < PARAMETERS; k++)
-        for (int l = 0; l < k; l++) h[l * PARAMETERS + k] = h[k * PARAMETERS + l];
 }
 
 /* step = (h + lambda diag h)^-1 g; `inverse` is that of the damped h. A blur at its lower bound that wants to
@@ -291,10 +297,11 @@ static bool start_levels(problem *p)
     for (int j = 0; j < w->height; j++) {
         const uint8_t *row = p->image->data + (size_t)(w->y0 + j) * p->image->width + w->x0;
         for (int i = 0; i < w->width; i++) {
-            double d = distance_to_edge(&e, w->x0 + i, w->y0 + j);
-            if (d > 1.5 && d < 4) ring[row[i]]++, total++;
-            if (d < -1.5) core += row[i], count++;
-            if (d < deepest) deepest = d, at_deepest = row[i];
+            offset o = offset_at(&e, w->x0 + i, w->y0 + j);
+            bool edge = is_within(o, 1.5);
+            if (o.excess > 0 && !edge && is_within(o, 4)) ring[row[i]]++, total++;
+            if (o.excess < 0 && !edge) core += row[i], count++;
+            if (o.excess < deepest) deepest = o.excess, at_deepest = row[i];
         }
     }
     if (total < 8) return false;
@@ -317,11 +324,12 @@ static bool start_edge(problem *p)
         const uint8_t *row = p->image->data + (size_t)(w->y0 + j) * p->image->width + w->x0;
         for (int i = 0; i < w->width; i++) {
             double x = w->x0 + i - p->origin[0], y = w->y0 + j - p->origin[1];
-            double d = distance_to_edge(&e, w->x0 + i, w->y0 + j);
-            if (d > 2.5) continue;
+            offset o = offset_at(&e, w->x0 + i, w->y0 + j);
+            bool edge = is_within(o, 2.5);
+            if (o.excess > 0 && !edge) continue;
             double v = fmin(fmax((row[i] - outside) / contrast, 0), 1);
             m[0] += v, m[1] += v * x, m[2] += v * y, m[3] += v * x * x, m[4] += v * x * y, m[5] += v * y * y;
-            if (d > -2.5) across += v * (1 - v);
+            if (edge) across += v * (1 - v);
         }
     }
     if (!(m[0] > 2)) return false;
@@ -382,37 +390,42 @@ static void mark_outliers(problem *p)
     sum_cost(p);
 }
 
-/* Descends until the next step would move the centre by less than a tenth of its sigma and the edge by less
- * than a fiftieth of a pixel; takes that step too. Outliers are told from the second step on, when the model
- * is near. */
+/* Descends until the next step would move the centre by less than a fifth of its sigma and the edge by less
+ * than 0.03 px, and takes that step too. After the first step the model is near: outliers are told, and the
+ * Jacobian is kept while the steps are small. */
 static bool descend(problem *p)
 {
     double lambda = 1e-4;
-    normal_equations(p);
+    bool fresh = true; /* the Jacobian is that of the present parameters */
+    normal_equations(p, true);
     for (int i = 0; i < MAX_ITERATIONS; i++) {
         double step[PARAMETERS], inverse[PARAMETERS * PARAMETERS], before[PARAMETERS], cost = p->cost;
         if (!solve(step, inverse, p, lambda)) return false;
         double variance = 0.5 * (inverse[0] + inverse[PARAMETERS + 1]) * variance_of(p);
         memcpy(before, p->p, sizeof before);
         for (int k = 0; k < PARAMETERS; k++) p->p[k] += step[k];
-        bool possible = confine(p), small = edge_move(p->p, before) < 0.02;
-        if (possible && small && i > 0 && step[0] * step[0] + step[1] * step[1] < 0.01 * variance)
+        bool possible = confine(p);
+        double move = edge_move(p->p, before);
+        if (possible && move < 0.03 && i > 0 && step[0] * step[0] + step[1] * step[1] < 0.04 * variance)
             return true;
-        if (possible) evaluate(p);
+        bool refresh = i == 0 || move > 0.3 || lambda > 1e-2;
+        if (possible) evaluate(p, refresh);
         if (possible && p->cost <= cost) {
             if (i == 0) mark_outliers(p);
             lambda *= 0.1;
-            normal_equations(p);
-        } else if (small) { /* rounding: there is nothing left to gain */
-            memcpy(p->p, before, sizeof before);
-            p->cost = cost;
-            return possible;
-        } else {
-            memcpy(p->p, before, sizeof before);
-            p->cost = cost;
-            lambda = fmax(lambda * 10, 1e-3);
-            if (lambda > 1e6) return false;
+            normal_equations(p, refresh);
+            fresh = refresh;
+            continue;
         }
+        memcpy(p->p, before, sizeof before);
+        p->cost = cost;
+        if (move < 0.03) return possible; /* rounding: there is nothing left to gain */
+        if (!fresh) {
+            evaluate(p, true);
+            normal_equations(p, fresh = true);
+        }
+        lambda = fmax(lambda * 10, 1e-3);
+        if (lambda > 1e6) return false;
     }
     return false;
 }
@@ -428,7 +441,7 @@ static bool fit_edge(problem *p, bool *memory)
         double variance = p->used > PARAMETERS ? variance_of(p) : 1;
         p->bulge_weight = variance / (BULGE_PER_PX * BULGE_PER_PX * area);
         if (!choose_pixels(p, 1 + 2.5 * smear, memory)) return false;
-        evaluate(p);
+        evaluate(p, true);
         double contrast = q[INSIDE] - q[OUTSIDE];
         if (p->cost > 0.09 * contrast * contrast * p->rows || !descend(p)) return false;
         if (edge_move(q, before) < 0.4) return true;

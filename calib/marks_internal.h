@@ -46,7 +46,7 @@ enum {
 };
 
 /* Phi and its density, for the model's many error functions. */
-enum { TD_NORMAL_STEPS = 32, TD_NORMAL_RANGE = 6 };
+enum { TD_NORMAL_STEPS = 64, TD_NORMAL_RANGE = 5 };
 typedef struct td_normal_table {
     double cumulative[2 * TD_NORMAL_STEPS * TD_NORMAL_RANGE + 1];
     double density[2 * TD_NORMAL_STEPS * TD_NORMAL_RANGE + 1];
@@ -64,8 +64,9 @@ typedef struct td_window {
 } td_window;
 
 /* cover (height,width): how much of each pixel the blurred disc covers, 0 to 1; d_edge (slots,8): its
- * derivatives by the edge's parameters, added to what is there (the caller zeroes it). */
-void td_mark_cover(double *cover, float *d_edge, const td_window *window,
+ * derivatives by the edge's parameters, added to what is there (the caller zeroes it); may be
+ * NULL. */
+void td_mark_cover(float *cover, float *d_edge, const td_window *window,
                    const double edge[TD_EDGE_PARAMETERS], const td_normal_table *table);
 
 /* A pixel that a fit looks at. */
@@ -80,7 +81,7 @@ typedef struct td_mark_pixel {
 /* Working memory of fits, used again from mark to mark; zeroed at first. */
 typedef struct td_mark_fit {
     td_normal_table table;
-    double *cover;        /* (pixels of the window) */
+    float *cover;         /* (pixels of the window) */
     int *slot;            /* (pixels of the window) */
     td_mark_pixel *pixel; /* (slots) */
     float *d_edge;        /* (slots,8) */

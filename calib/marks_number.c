@@ -317,7 +317,7 @@ static void number_alike(td_numbering *n, const int *plane, int planes, candidat
             k++;
         if (k < candidates)
             left--;
-        else
+        else if ((n->refused = candidates > 0))
             snprintf(n->note, sizeof n->note,
                      "the clicks on plane %d do not fit the %dx%d grid that was seen", plane[i] + 1,
                      p->columns, p->rows);

@@ -94,15 +94,21 @@ bool td_triangulate_pair(double point[3], const td_camera *first, const td_camer
     if (!midpoint(x, ray1, ray2, first_from_second.t)) return false;
     td_pose_rotation(r2, second_from_first);
     for (int iteration = 0; iteration < 3; iteration++) {
-        double j[12], r[4], u[2], d[6], y[3], step[3];
+        double j[12], r[4], u[2], d[6], y[3], normal[9] = {0}, right[3] = {0};
         if (!td_camera_project(u, j, NULL, first, x)) return false;
         r[0] = pixel1[0] - u[0], r[1] = pixel1[1] - u[1];
         td_pose_transform(y, second_from_first, x);
         if (!td_camera_project(u, d, NULL, second, y)) return false;
         r[2] = pixel2[0] - u[0], r[3] = pixel2[1] - u[1];
         td_multiply(j + 6, d, r2, 2, 3, 3);
-        if (td_least_squares_linear(step, NULL, j, r, 4, 3, NULL) != TD_OK) return false;
-        for (int i = 0; i < 3; i++) x[i] += step[i];
+        for (int row = 0; row < 4; row++)
+            for (int a = 0; a < 3; a++) {
+                right[a] += j[3 * row + a] * r[row];
+                for (int b = 0; b < 3; b++) normal[3 * a + b] += j[3 * row + a] * j[3 * row + b];
+            }
+        if (td_invert_spd(normal, normal, 3, NULL) != TD_OK) return false;
+        for (int a = 0; a < 3; a++)
+            x[a] += normal[3 * a] * right[0] + normal[3 * a + 1] * right[1] + normal[3 * a + 2] * right[2];
     }
     memcpy(point, x, sizeof x);
     return true;

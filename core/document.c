@@ -60,8 +60,7 @@ static bool is_one_of(const char *text, const char *const words[])
     return false;
 }
 
-/* The core schema of YAML 1.2.2 (10.3.2); .nan and .inf stay strings, for a tree of jansson cannot hold them.
- */
+/* The core schema of YAML 1.2.2 (10.3.2); .nan and .inf stay strings: jansson has no such reals. */
 static td_status read_plain(reader *r, const yaml_event_t *event, json_t **value)
 {
     static const char *const nulls[] = {"", "~", "null", "Null", "NULL", NULL};

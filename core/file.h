@@ -10,12 +10,12 @@
 extern "C" {
 #endif
 
-/* Reads a regular file of at most `limit` bytes; *bytes is to be freed with free() and has a 0 behind its end. A
- * missing, unreadable, too large or special file is refused with a sentence that names it. */
+/* Reads a regular file of at most `limit` bytes; *bytes is to be freed with free() and has a 0 behind its
+ * end. A missing, unreadable, too large or special file is refused with a sentence that names it. */
 TD_API td_status td_file_read(char **bytes, size_t *size, const char *path, size_t limit, td_error *error);
 
-/* Writes under a temporary name in the same folder, fsyncs, renames, fsyncs the folder: after a crash or kill the path
- * holds the old content or the new, whole. */
+/* Writes under a temporary name in the same folder, fsyncs, renames, fsyncs the folder: after a crash or kill
+ * the path holds the old content or the new, whole. */
 TD_API td_status td_file_write(const char *path, const void *bytes, size_t size, td_error *error);
 
 /* Makes a folder and its parents; an existing folder is fine. */

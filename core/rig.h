@@ -45,8 +45,7 @@ typedef struct td_rig {
     bool has_vehicle;
     td_pose vehicle_from_rig; /* when has_vehicle */
     /* Joint covariance of, camera by camera: its parameters (camera.h's order), then the perturbation of its
-     * camera_from_rig (pose.h's left perturbation: 3 rad, 3 m; all zero for the first camera). NULL: unknown.
-     */
+     * camera_from_rig (pose.h's left perturbation: 3 rad, 3 m; zero for the first camera). NULL: unknown. */
     double *covariance; /* (n,n), n = td_rig_parameter_count */
     json_t *provenance; /* a mapping of whatever made the rig; may be NULL */
 } td_rig;
@@ -67,8 +66,7 @@ TD_API int td_rig_find(const td_rig *rig, const char *name);
  * camera's pose; names the field. */
 TD_API td_status td_rig_check(const td_rig *rig, td_error *error);
 
-/* rig.yaml; numbers survive the round trip to the last bit. A rig that td_rig_check refuses is not written.
- */
+/* rig.yaml; numbers survive to the last bit. A rig that td_rig_check refuses is not written. */
 TD_API td_status td_rig_read(td_rig **rig, const char *path, td_error *error);
 TD_API td_status td_rig_write(const td_rig *rig, const char *path, td_error *error);
 /* The same from and to memory; `name` is for messages; *text is to be freed with free(). */

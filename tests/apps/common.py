@@ -37,12 +37,51 @@ def finish():
     sys.exit(1 if failures else 0)
 
 
-def run(*arguments, env=None, timeout=300):
-    """Exit status, standard output, standard error."""
+def run(*arguments, env=None, timeout=300, cwd=None, before=None):
+    """Exit status (None: it hung), standard output, standard error; before() is called in the child."""
     environment = dict(os.environ, **(env or {}))
-    done = subprocess.run([PROGRAM, *map(str, arguments)], capture_output=True, text=True, timeout=timeout,
-                          env=environment)
+    # Python ignores SIGXFSZ and would hand that down: the program is to meet the signals as it does in a shell.
+    try:
+        done = subprocess.run([PROGRAM, *map(str, arguments)], capture_output=True, encoding="utf-8", errors="replace",
+                              timeout=timeout, env=environment, cwd=cwd, preexec_fn=before)
+    except subprocess.TimeoutExpired:
+        return None, "", f"no answer within {timeout} s"
     return done.returncode, done.stdout, done.stderr
+
+
+def fault_of_sentence(errors, command):
+    """What keeps standard error from being one clear sentence; "" when nothing does."""
+    if not errors.endswith("\n") or errors.count("\n") != 1:
+        return "not one line"
+    if not errors.startswith(f"teledimos {command}: "):
+        return f"does not begin with 'teledimos {command}: '"
+    if len(errors) > 700 or "\ufffd" in errors or any(ord(c) < 32 for c in errors[:-1]):
+        return "too long, or not plain text"
+    return ""
+
+
+def refused(what, status, words, *arguments, command="calibrate", out=None, **how):
+    """Shows that a bad job ends with `status`, one sentence that holds all `words`, and no product. Returns the sentence."""
+    with tempfile.TemporaryDirectory() as folder:
+        target = out or os.path.join(folder, "out")
+        code, text, errors = run(command, *arguments, "-o", target, **dict({"timeout": 60}, **how))
+        faults = [fault_of_sentence(errors, command)]
+        if code != status:
+            faults.append(f"status {code} instead of {status}")
+        faults += [f"'{word}' is not named" for word in words if word not in errors]
+        if text:
+            faults.append("something on standard output")
+        if not out and os.path.isdir(target) and os.listdir(target):
+            faults.append(f"left {os.listdir(target)}")
+    faults = [fault for fault in faults if fault]
+    check(not faults, f"{what}: {shortened(errors)}" + "".join(f" [{fault}]" for fault in faults))
+    return errors
+
+
+def shortened(errors):
+    """A message for one line of a log: without the temporary folder, and not endless."""
+    text = errors.strip().replace(tempfile.gettempdir() + "/", "").replace("\n", "\\n")
+    return text if len(text) < 300 else text[:300] + "…"
 
 
 def calibrate(dataset, *arguments, out=None, expect=0):

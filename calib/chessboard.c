@@ -1,0 +1,491 @@
+/* Coarse corners come from OpenCV, at first from an image shrunk to about a megapixel; each is refined by
+ * corner.c; the squares' colours must alternate, and they decide on the numbering. */
+#include "calib/chessboard.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "calib/chessboard_internal.h"
+#include "calib/corner.h"
+
+static const double COARSE_PIXELS = 1.2e6; /* an image is halved until it has fewer */
+static const double UNSEEN_SHARE = 0.2;    /* of the corners, at most, in a board that counts as found */
+static const double BLURRED = 3;           /* px, standard deviation of the edges */
+static const double OFFSET_PER_SPREAD =
+    0.08; /* of a local threshold, by the standard deviation of the greys */
+
+/* A board in the image, in any order. */
+typedef struct board {
+    int columns, rows;
+    double *start;     /* (rows,columns,2) coarse positions, px */
+    td_corner *corner; /* (rows,columns) */
+    bool *seen;        /* (rows,columns) the corner could be refined */
+} board;
+
+static void board_free(board *b)
+{
+    free(b->start);
+    free(b->corner);
+    free(b->seen);
+    *b = (board){0};
+}
+
+static td_status board_new(board *b, int columns, int rows, td_error *error)
+{
+    size_t n = (size_t)columns * (size_t)rows;
+    *b = (board){columns, rows, malloc(2 * n * sizeof *b->start), calloc(n, sizeof *b->corner),
+                 calloc(n, sizeof *b->seen)};
+    if (b->start && b->corner && b->seen) return TD_OK;
+    board_free(b);
+    return td_fail(error, TD_ERROR_MEMORY, "no memory for a chessboard of %dx%d corners", columns, rows);
+}
+
+static int board_count(const board *b)
+{
+    return b->columns * b->rows;
+}
+
+/* ---- Coarse search ---- */
+
+static double spread_of(const td_image *image)
+{
+    size_t n = (size_t)image->width * (size_t)image->height;
+    uint64_t sum = 0, square = 0;
+    for (size_t i = 0; i < n; i++) {
+        sum += image->data[i];
+        square += (uint64_t)image->data[i] * image->data[i];
+    }
+    double mean = (double)sum / (double)n;
+    return sqrt(fmax((double)square / (double)n - mean * mean, 0));
+}
+
+/* By quadrangles: against the means of blocks of a tenth and a twentieth of the image, and by the histogram.
+ */
+static td_status search_quadrangles(board *b, bool *found, const td_image *image, int tries, td_error *error)
+{
+    const int side = image->width < image->height ? image->width : image->height;
+    const double offset = OFFSET_PER_SPREAD * spread_of(image);
+    const td_chessboard_threshold threshold[3] = {
+        {(side / 10) | 1, offset, 0}, {(side / 20) | 1, offset, 5}, {0, 0, 0}};
+    *found = false;
+    for (int i = 0; i < tries && !*found; i++) {
+        if (threshold[i].block == 1) continue;
+        TD_TRY(
+            td_chessboard_by_quadrangles(b->start, found, image, b->columns, b->rows, &threshold[i], error));
+    }
+    return TD_OK;
+}
+
+static td_status search_once(board *b, bool *found, const td_image *image, bool thorough, td_error *error)
+{
+    TD_TRY(search_quadrangles(b, found, image, thorough ? 3 : 2, error));
+    if (*found || !thorough) return TD_OK;
+    int columns = b->columns, rows = b->rows;
+    return td_chessboard_by_sectors(b->start, (size_t)board_count(b), found, &columns, &rows, false, image,
+                                    error);
+}
+
+static int halvings(const td_image *image)
+{
+    int times = 0;
+    while ((double)(image->width >> times) * (image->height >> times) > COARSE_PIXELS) times++;
+    return times;
+}
+
+/* From the image halved `times` times to the image itself: pixel (0, 0) is the centre of the first pixel. */
+static void enlarge(board *b, int times)
+{
+    double factor = (double)(1 << times);
+    for (int i = 0; i < 2 * board_count(b); i++) b->start[i] = (b->start[i] + 0.5) * factor - 0.5;
+}
+
+/* Thoroughly in the shrunk image, then quickly in larger ones, where small boards are. */
+static td_status search(board *b, bool *found, const td_image *image, td_error *error)
+{
+    *found = false;
+    const int most = halvings(image);
+    for (int times = most; times >= 0 && !*found; times--) {
+        td_image *small = NULL;
+        if (times > 0) TD_TRY(td_image_shrink(&small, image, times, error));
+        td_status status = search_once(b, found, small ? small : image, times == most, error);
+        td_image_free(&small);
+        TD_TRY(status);
+        if (*found) enlarge(b, times);
+    }
+    return TD_OK;
+}
+
+/* ---- Refinement ---- */
+
+static const double *start_at(const board *b, int column, int row)
+{
+    return b->start + 2 * (row * b->columns + column);
+}
+
+/* Steps to the neighbours: half the way between those on both sides, or to the only one. */
+static void steps_at(double along_column[2], double along_row[2], const board *b, int column, int row)
+{
+    int left = column > 0 ? column - 1 : column, right = column + 1 < b->columns ? column + 1 : column;
+    int up = row > 0 ? row - 1 : row, down = row + 1 < b->rows ? row + 1 : row;
+    for (int k = 0; k < 2; k++) {
+        along_column[k] = (start_at(b, right, row)[k] - start_at(b, left, row)[k]) / (right - left);
+        along_row[k] = (start_at(b, column, down)[k] - start_at(b, column, up)[k]) / (down - up);
+    }
+}
+
+static void swap_bytes(void *a, void *b, size_t size)
+{
+    unsigned char *p = a, *q = b;
+    for (size_t i = 0; i < size; i++) {
+        unsigned char kept = p[i];
+        p[i] = q[i], q[i] = kept;
+    }
+}
+
+/* Reverses every row when columns to the right and rows downwards would show the board's back. */
+static void face_front(board *b)
+{
+    double turn = 0, x[2], y[2];
+    for (int r = 0; r < b->rows; r++)
+        for (int c = 0; c < b->columns; c++) {
+            steps_at(x, y, b, c, r);
+            turn += x[0] * y[1] - x[1] * y[0];
+        }
+    if (turn > 0) return;
+    for (int r = 0; r < b->rows; r++)
+        for (int i = 0, j = b->columns - 1; i < j; i++, j--)
+            swap_bytes(b->start + 2 * (r * b->columns + i), b->start + 2 * (r * b->columns + j),
+                       2 * sizeof *b->start);
+}
+
+/* Sign of the contrast at corner (0, 0), by the majority of corners: it alternates over the board. */
+static int first_sign(const board *b)
+{
+    int votes = 0;
+    for (int i = 0; i < board_count(b); i++) {
+        if (!b->seen[i]) continue;
+        int sign = b->corner[i].contrast > 0 ? 1 : -1;
+        votes += (i / b->columns + i % b->columns) % 2 ? -sign : sign;
+    }
+    return votes > 0 ? 1 : -1;
+}
+
+/* Refines corner i from `start`; its colours must suit those of corner (0, 0), when they are known (0: not
+ * yet). */
+static void refine_one(board *b, const td_image *image, int i, const double start[2], int first)
+{
+    double x[2], y[2];
+    int column = i % b->columns, row = i / b->columns, sign = (column + row) % 2 ? -first : first;
+    steps_at(x, y, b, column, row);
+    b->seen[i] = td_corner_refine(&b->corner[i], image, start, x, y) && b->corner[i].contrast * sign >= 0;
+}
+
+/* The middle between seen neighbours on both sides, in the row, the column or both. */
+static bool between_neighbours(double middle[2], const board *b, int i)
+{
+    const int column = i % b->columns, row = i / b->columns, n = b->columns;
+    int used = 0;
+    middle[0] = middle[1] = 0;
+    for (int way = 0; way < 2; way++) {
+        int step = way ? n : 1, at = way ? row : column, last = way ? b->rows - 1 : n - 1;
+        if (at == 0 || at == last || !b->seen[i - step] || !b->seen[i + step]) continue;
+        for (int k = 0; k < 2; k++)
+            middle[k] += (b->corner[i - step].position[k] + b->corner[i + step].position[k]) / 2;
+        used++;
+    }
+    for (int k = 0; k < 2; k++) middle[k] /= used ? used : 1;
+    return used > 0;
+}
+
+/* Refines all corners, those that fail once more from between their neighbours; returns how many are seen. */
+static int refine(board *b, const td_image *image)
+{
+    face_front(b);
+    for (int i = 0; i < board_count(b); i++) refine_one(b, image, i, b->start + 2 * i, 0);
+    int first = first_sign(b), seen = 0;
+    for (int i = 0; i < board_count(b); i++) {
+        int sign = (i / b->columns + i % b->columns) % 2 ? -first : first;
+        b->seen[i] = b->seen[i] && b->corner[i].contrast * sign > 0;
+    }
+    for (int i = 0; i < board_count(b); i++) {
+        double middle[2];
+        if (!b->seen[i] && between_neighbours(middle, b, i)) refine_one(b, image, i, middle, first);
+        seen += b->seen[i];
+    }
+    return seen;
+}
+
+/* Whether a corner lies one step beyond corner i of the board's edge; `inwards` leads from i to its
+ * neighbour. */
+static bool goes_on_at(const board *b, const td_image *image, int i, int inwards)
+{
+    const int j = i + inwards, k = j + inwards;
+    if (!b->seen[i] || !b->seen[j] || !b->seen[k]) return false;
+    double next[2], x[2], y[2];
+    for (int c = 0; c < 2; c++)
+        next[c] = 3 * b->corner[i].position[c] - 3 * b->corner[j].position[c] + b->corner[k].position[c];
+    steps_at(x, y, b, i % b->columns, i / b->columns);
+    td_corner beyond;
+    return td_corner_refine(&beyond, image, next, x, y) && beyond.contrast * b->corner[i].contrast < 0;
+}
+
+/* A part of a larger board is no board: points would be numbered from wherever the part begins. Looks beyond
+ * the quarter, the middle and the three quarters of each side. */
+static bool goes_on(const board *b, const td_image *image)
+{
+    const int n = b->columns, last = (b->rows - 1) * n;
+    int seen[4] = {0};
+    for (int quarter = 1; quarter <= 3; quarter++) {
+        int c = (n - 1) * quarter / 4, r = (b->rows - 1) * quarter / 4 * n;
+        seen[0] += goes_on_at(b, image, c, n);
+        seen[1] += goes_on_at(b, image, last + c, -n);
+        seen[2] += goes_on_at(b, image, r, 1);
+        seen[3] += goes_on_at(b, image, r + n - 1, -1);
+    }
+    return seen[0] > 1 || seen[1] > 1 || seen[2] > 1 || seen[3] > 1;
+}
+
+static bool enough(const board *b, int seen)
+{
+    return seen >= (1 - UNSEEN_SHARE) * board_count(b);
+}
+
+/* ---- Order ---- */
+
+/* Which corner of the board is (column, row) after `turns` quarter turns. */
+static int turned(const board *b, int turns, int column, int row)
+{
+    const int right = b->columns - 1, bottom = b->rows - 1;
+    const int at[4][2] = {
+        {column, row}, {right - row, column}, {right - column, bottom - row}, {row, bottom - column}};
+    return at[turns][1] * b->columns + at[turns][0];
+}
+
+/* Quarter turns to the order that chessboard.h promises. */
+static int best_turns(const board *b)
+{
+    const int first = first_sign(b), step = b->columns == b->rows ? 1 : 2;
+    int best = 0;
+    bool best_dark = false;
+    double best_place = INFINITY;
+    for (int turns = 0; turns < 4; turns += step) {
+        int i = turned(b, turns, 0, 0);
+        /* The sign of a corner's contrast changes from corner to corner and with every quarter turn. */
+        int sign = (i / b->columns + i % b->columns + turns) % 2 ? -first : first;
+        bool dark = sign < 0;
+        double place = b->start[2 * i] + b->start[2 * i + 1];
+        if (dark < best_dark || (dark == best_dark && place >= best_place)) continue;
+        best = turns, best_dark = dark, best_place = place;
+    }
+    return best;
+}
+
+/* ---- The detection ---- */
+
+static int by_value(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static td_status median_blur(double *median, const board *b, int seen, td_error *error)
+{
+    double *blur = malloc((size_t)seen * sizeof *blur);
+    if (!blur) return td_fail(error, TD_ERROR_MEMORY, "no memory for %d corners", seen);
+    int n = 0;
+    for (int i = 0; i < board_count(b); i++)
+        if (b->seen[i]) blur[n++] = b->corner[i].blur;
+    qsort(blur, (size_t)n, sizeof *blur, by_value);
+    *median = n % 2 ? blur[n / 2] : (blur[n / 2 - 1] + blur[n / 2]) / 2;
+    free(blur);
+    return TD_OK;
+}
+
+/* By how much the residuals' correlation raises the variance, over all corners of the image: one corner's own
+ * figure is good to a third only. */
+static double common_inflation(const board *b, int seen)
+{
+    double sum = 0;
+    for (int i = 0; i < board_count(b); i++)
+        if (b->seen[i]) sum += pow(b->corner[i].sigma / b->corner[i].white, 2);
+    return sum / seen;
+}
+
+static td_status fill(td_detection *detection, const board *b, int seen, td_error *error)
+{
+    TD_TRY(median_blur(&detection->blur_px, b, seen, error));
+    const double inflation = sqrt(common_inflation(b, seen));
+    const int turns = best_turns(b), n = b->columns;
+    for (int k = 0; k < board_count(b); k++) {
+        int i = turned(b, turns, k % n, k / n);
+        if (!b->seen[i]) continue;
+        memcpy(detection->point + 2 * k, b->corner[i].position, 2 * sizeof *detection->point);
+        detection->sigma[k] = b->corner[i].white * inflation;
+    }
+    detection->found = true;
+    if (seen < board_count(b))
+        snprintf(detection->reason, sizeof detection->reason, "%d of %d corners cannot be measured",
+                 board_count(b) - seen, board_count(b));
+    return TD_OK;
+}
+
+/* ---- What was seen instead ---- */
+
+/* Blur of the sharpest edges, px: an edge of rise R blurred by w has slope R / (w sqrt(2 pi)). Along rows;
+ * the edges are the half percent of steepest places. NaN: none. */
+static double edge_blur(const td_image *image)
+{
+    enum { BINS = 100, PER_PX = 10 };
+    size_t count[256] = {0}, total = 0, steep = 0, bin[BINS] = {0}, edges = 0;
+    const int w = image->width;
+    for (int y = 0; y < image->height; y++) {
+        const uint8_t *g = image->data + (size_t)y * (size_t)w;
+        for (int x = 1; x + 1 < w; x++, total++) count[abs(g[x + 1] - g[x - 1])]++;
+    }
+    int threshold = 256;
+    while (threshold > 8 && steep <= total / 200) steep += count[--threshold];
+    for (int y = 0; y < image->height; y++) {
+        const uint8_t *g = image->data + (size_t)y * (size_t)w;
+        for (int x = 2; x + 2 < w; x++) {
+            int rise = g[x + 1] - g[x - 1], sign = rise > 0 ? 1 : -1, from = x, to = x;
+            if (rise * sign < threshold || (g[x] - g[x - 2]) * sign > rise * sign ||
+                (g[x + 2] - g[x]) * sign > rise * sign)
+                continue;
+            while (from > 0 && (g[from] - g[from - 1]) * sign > 0) from--;
+            while (to + 1 < w && (g[to + 1] - g[to]) * sign > 0) to++;
+            double blur = (g[to] - g[from]) * sign / (0.5 * rise * sign * 2.5066);
+            bin[(int)fmin(blur * PER_PX, BINS - 1)]++;
+            edges++;
+        }
+    }
+    if (edges == 0) return NAN;
+    size_t below = 0;
+    int i = 0;
+    while ((below += bin[i]) < (edges + 1) / 2) i++;
+    return (i + 0.5) / PER_PX;
+}
+
+/* "; the image is blurred …" when it is. */
+static const char *blur_remark(char remark[96], const td_image *image)
+{
+    double blur = edge_blur(image);
+    remark[0] = 0;
+    if (blur > BLURRED)
+        snprintf(remark, 96, ": the image is blurred, its edges spread over %.1f px: focus, or hold still",
+                 blur);
+    return remark;
+}
+
+/* The largest board of any size in the shrunk image, refined. */
+static td_status search_any_size(board *b, bool *found, const td_image *image, td_error *error)
+{
+    enum { MOST_SIDE = 100, LEAST_SIDE = 3 };
+    *found = false;
+    TD_TRY(board_new(b, MOST_SIDE, MOST_SIDE, error));
+    const int times = halvings(image);
+    td_image *small = NULL;
+    td_status status = times > 0 ? td_image_shrink(&small, image, times, error) : TD_OK;
+    b->columns = b->rows = LEAST_SIDE;
+    if (status == TD_OK)
+        status = td_chessboard_by_sectors(b->start, MOST_SIDE * MOST_SIDE, found, &b->columns, &b->rows, true,
+                                          small ? small : image, error);
+    td_image_free(&small);
+    if (status != TD_OK || !*found) return status;
+    enlarge(b, times);
+    *found = enough(b, refine(b, image));
+    return TD_OK;
+}
+
+/* Exchanges columns and rows. */
+static td_status transpose(board *b, td_error *error)
+{
+    board t;
+    TD_TRY(board_new(&t, b->rows, b->columns, error));
+    for (int i = 0; i < board_count(b); i++)
+        memcpy(t.start + 2 * (i % b->columns * t.columns + i / b->columns), b->start + 2 * i,
+               2 * sizeof *t.start);
+    board_free(b);
+    *b = t;
+    return TD_OK;
+}
+
+/* Says in the detection's reason what is there instead of a whole board; takes a board of the wanted size
+ * that only the search for any size finds into b. */
+static td_status look_again(td_detection *detection, board *b, bool *found, const td_image *image,
+                            td_error *error)
+{
+    board other = {0};
+    char remark[96], *reason = detection->reason;
+    const size_t size = sizeof detection->reason;
+    const bool part = *found;
+    bool any = false;
+    td_status status = search_any_size(&other, &any, image, error);
+    if (status == TD_OK && any &&
+        abs(other.columns - b->rows) + abs(other.rows - b->columns) <
+            abs(other.columns - b->columns) + abs(other.rows - b->rows))
+        status = transpose(&other, error);
+    *found = false;
+    if (status == TD_OK && any && other.columns == b->columns && other.rows == b->rows && !part) {
+        memcpy(b->start, other.start, 2 * (size_t)board_count(b) * sizeof *b->start);
+        *found = true;
+    } else if (status == TD_OK && any && board_count(&other) > board_count(b)) {
+        snprintf(reason, size, "looked for %dx%d inner corners, but the board in the image has %dx%d or more",
+                 b->columns, b->rows, other.columns, other.rows);
+    } else if (status == TD_OK && any) {
+        bool squares = other.columns == b->columns - 1 && other.rows == b->rows - 1;
+        snprintf(reason, size, "looked for %dx%d inner corners, but saw a board of %dx%d: %s", b->columns,
+                 b->rows, other.columns, other.rows,
+                 squares ? "were squares counted instead of inner corners?"
+                         : "is it another board, or not wholly in view?");
+    } else if (part) {
+        snprintf(reason, size,
+                 "looked for %dx%d inner corners, but the board in the image goes on beyond them", b->columns,
+                 b->rows);
+    } else {
+        snprintf(reason, size, "no chessboard of %dx%d inner corners seen%s", b->columns, b->rows,
+                 blur_remark(remark, image));
+    }
+    board_free(&other);
+    return status;
+}
+
+static td_status detect(td_detection *detection, board *b, const td_image *image, td_error *error)
+{
+    bool found = false;
+    char remark[96];
+    TD_TRY(search(b, &found, image, error));
+    if (!found) TD_TRY(look_again(detection, b, &found, image, error));
+    if (!found) return TD_OK;
+    const int seen = refine(b, image);
+    if (!enough(b, seen)) {
+        blur_remark(remark, image);
+        snprintf(detection->reason, sizeof detection->reason,
+                 "a chessboard of %dx%d inner corners is there, but only %d of %d corners can be measured%s",
+                 b->columns, b->rows, seen, board_count(b),
+                 *remark ? remark : ": glare, shadow, noise or something before it");
+        return TD_OK;
+    }
+    if (goes_on(b, image)) return look_again(detection, b, &found, image, error);
+    return fill(detection, b, seen, error);
+}
+
+td_status td_chessboard_detect(td_detection *detection, const td_image *image, const td_target *target,
+                               td_error *error)
+{
+    *detection = (td_detection){0};
+    TD_TRY(td_target_check(target, error));
+    if (target->kind != TD_TARGET_CHESSBOARD)
+        return td_fail(error, TD_ERROR_ARGUMENT, "the target is not a chessboard");
+    if (image->channels != 1)
+        return td_fail(error, TD_ERROR_ARGUMENT,
+                       "a chessboard is looked for in grey images, not in %d channels", image->channels);
+    board b;
+    TD_TRY(td_detection_init(detection, td_target_point_count(target), error));
+    td_status status = board_new(&b, target->plane[0].columns, target->plane[0].rows, error);
+    if (status == TD_OK) status = detect(detection, &b, image, error);
+    board_free(&b);
+    if (status != TD_OK) td_detection_free(detection);
+    return status;
+}
