@@ -201,7 +201,8 @@ static td_status print_result(const calibrate_job *job, const json_t *result, td
         if (job->gate->verdict == VERDICT_REFUSED && !accept)
             printf("rig.yaml was not written: mend what the reasons name, or pass --accept\n");
     }
-    return fflush(stdout) == 0 ? TD_OK : td_fail(error, TD_ERROR_IO, "standard output cannot be written");
+    return fflush(stdout) == 0 && !ferror(stdout) ? TD_OK
+                                                  : td_fail(error, TD_ERROR_IO, "standard output cannot be written");
 }
 
 static td_status finish(calibrate_job *job, gate_result *gate, const gate_row *rows, terminal *term, char **log,
@@ -304,7 +305,7 @@ int main(int argc, char **argv)
         free(text);
         return EXIT_DONE;
     }
-    if (!dataset_path || !common.output) {
+    if (!dataset_path || !common.output || !*common.output) {
         cli_complain(command.name, "%s is missing (usage: teledimos %s %s)", dataset_path ? "-o DIR" : "DATASET",
                      command.name, command.usage);
         return EXIT_USAGE;

@@ -190,6 +190,8 @@ static td_status write_result(const job *j, td_error *error)
         printf("%zu pairs rectified to %dx%d px, focal length %.2f px, baseline %.3f mm%s: %s\n", j->view_count,
                j->rectification.camera.width, j->rectification.camera.height, j->rectification.camera.parameter[0],
                1e3 * j->rectification.baseline_m, j->rectification.vertical ? " (vertical)" : "", common.output);
+    if (status == TD_OK && (fflush(stdout) != 0 || ferror(stdout)))
+        status = td_fail(error, TD_ERROR_IO, "standard output cannot be written");
     json_decref(result);
     free(yaml);
     free(text);
@@ -237,7 +239,7 @@ int main(int argc, char **argv)
         free(text);
         return EXIT_DONE;
     }
-    if (!dataset_path || !rig_path || !common.output) {
+    if (!dataset_path || !rig_path || !common.output || !*common.output) {
         cli_complain(command.name, "%s is missing (usage: teledimos %s %s)",
                      !dataset_path ? "DATASET" : !rig_path ? "--rig RIG" : "-o DIR", command.name, command.usage);
         return EXIT_USAGE;

@@ -10,11 +10,10 @@
 #include "calib/chessboard_internal.h"
 #include "calib/corner.h"
 
-static const double COARSE_PIXELS = 1.2e6; /* an image is halved until it has fewer */
-static const double UNSEEN_SHARE = 0.2;    /* of the corners, at most, in a board that counts as found */
-static const double BLURRED = 3;           /* px, standard deviation of the edges */
-static const double OFFSET_PER_SPREAD =
-    0.08; /* of a local threshold, by the standard deviation of the greys */
+static const double COARSE_PIXELS = 1.2e6;    /* an image is halved until it has fewer */
+static const double UNSEEN_SHARE = 0.2;       /* of the corners, at most, in a board that counts as found */
+static const double BLURRED = 3;              /* px, standard deviation of the edges */
+static const double OFFSET_PER_SPREAD = 0.14; /* local threshold's, by the greys' standard deviation */
 
 /* A board in the image, in any order. */
 typedef struct board {
@@ -68,7 +67,7 @@ static td_status search_quadrangles(board *b, bool *found, const td_image *image
     const int side = image->width < image->height ? image->width : image->height;
     const double offset = OFFSET_PER_SPREAD * spread_of(image);
     const td_chessboard_threshold threshold[3] = {
-        {(side / 10) | 1, offset, 0}, {(side / 20) | 1, offset, 5}, {0, 0, 0}};
+        {(side / 10) | 1, offset, 0}, {(side / 20) | 1, offset, 3}, {0, 0, 0}};
     *found = false;
     for (int i = 0; i < tries && !*found; i++) {
         if (threshold[i].block == 1) continue;
@@ -231,20 +230,20 @@ static bool goes_on_at(const board *b, const td_image *image, int i, int inwards
     return td_corner_refine(&beyond, image, next, x, y) && beyond.contrast * b->corner[i].contrast < 0;
 }
 
-/* A part of a larger board is no board: points would be numbered from wherever the part begins. Looks beyond
- * the quarter, the middle and the three quarters of each side. */
+/* At the middle of a side, and at one of its quarters. */
+static bool side_goes_on(const board *b, const td_image *image, int first, int step, int count, int inwards)
+{
+    return goes_on_at(b, image, first + count / 2 * step, inwards) &&
+           (goes_on_at(b, image, first + count / 4 * step, inwards) ||
+            goes_on_at(b, image, first + 3 * count / 4 * step, inwards));
+}
+
+/* A part of a larger board is no board: points would be numbered from wherever the part begins. */
 static bool goes_on(const board *b, const td_image *image)
 {
-    const int n = b->columns, last = (b->rows - 1) * n;
-    int seen[4] = {0};
-    for (int quarter = 1; quarter <= 3; quarter++) {
-        int c = (n - 1) * quarter / 4, r = (b->rows - 1) * quarter / 4 * n;
-        seen[0] += goes_on_at(b, image, c, n);
-        seen[1] += goes_on_at(b, image, last + c, -n);
-        seen[2] += goes_on_at(b, image, r, 1);
-        seen[3] += goes_on_at(b, image, r + n - 1, -1);
-    }
-    return seen[0] > 1 || seen[1] > 1 || seen[2] > 1 || seen[3] > 1;
+    const int n = b->columns, m = b->rows, last = (m - 1) * n;
+    return side_goes_on(b, image, 0, 1, n, n) || side_goes_on(b, image, last, 1, n, -n) ||
+           side_goes_on(b, image, 0, n, m, 1) || side_goes_on(b, image, n - 1, n, m, -1);
 }
 
 static bool enough(const board *b, int seen)

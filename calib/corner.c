@@ -25,6 +25,7 @@
 enum {
     N = CORNER_PARAMETERS,
     LANES = CORNER_LANES,
+    MOST_ITERATIONS = 15,
     BLOCK = 3,
     BLOCK_SIDE = 2 * (CORNER_MAX_RADIUS / BLOCK + 1) + 1
 };
@@ -187,42 +188,55 @@ static void hold_blur(double normal[N][N], double gradient[N])
     gradient[CORNER_BLUR] = 0;
 }
 
-/* Levenberg-Marquardt with Marquardt's scaling. False when no step lowers the cost from a point that is no
- * minimum. */
+static void normal_equations(fit *f, double gradient[N], const corner_window *window)
+{
+    for (int i = 0; i < N; i++) {
+        gradient[i] = dot(window->derivative[i], window->residual, window->count);
+        for (int j = 0; j <= i; j++)
+            f->normal[i][j] = dot(window->derivative[i], window->derivative[j], window->count);
+    }
+}
+
+/* The step under Marquardt's scaling, and the decrease of the cost that the linear model predicts for it. */
+static bool solve_step(double step[N], double *predicted, const fit *f, const double gradient[N],
+                       double damping)
+{
+    double l[N][N];
+    memcpy(l, f->normal, sizeof l);
+    memcpy(step, gradient, N * sizeof *step);
+    for (int i = 0; i < N; i++) l[i][i] *= 1 + damping;
+    if (f->parameter[CORNER_BLUR] <= LEAST_BLUR && gradient[CORNER_BLUR] < 0) hold_blur(l, step);
+    if (!factor(l)) return false;
+    forward(l, step), backward(l, step);
+    *predicted = 0;
+    for (int i = 0; i < N; i++) *predicted += step[i] * (gradient[i] + damping * f->normal[i][i] * step[i]);
+    return true;
+}
+
+/* Levenberg-Marquardt, until the corner moves by less than `enough`. False when it does not come to that. */
 static bool minimise(fit *f, corner_window *window, double enough)
 {
-    double damping = 1e-3, gradient[N];
+    double damping = 1e-3, gradient[N], step[N], trial[N], predicted;
     td_corner_model(window, f->parameter);
     f->cost = dot(window->residual, window->residual, window->count);
-    for (int iteration = 0; iteration < 25; iteration++) {
-        for (int i = 0; i < N; i++) {
-            gradient[i] = dot(window->derivative[i], window->residual, window->count);
-            for (int j = 0; j <= i; j++)
-                f->normal[i][j] = dot(window->derivative[i], window->derivative[j], window->count);
-        }
-        for (;; damping = 10 * damping + 1e-6) {
-            if (damping > 1e6) return false;
-            double l[N][N], step[N], trial[N];
-            memcpy(l, f->normal, sizeof l);
-            memcpy(step, gradient, sizeof step);
-            for (int i = 0; i < N; i++) l[i][i] *= 1 + damping;
-            if (f->parameter[CORNER_BLUR] <= LEAST_BLUR && gradient[CORNER_BLUR] < 0) hold_blur(l, step);
-            if (!factor(l)) continue;
-            forward(l, step), backward(l, step);
-            for (int i = 0; i < N; i++) trial[i] = f->parameter[i] + step[i];
-            trial[CORNER_BLUR] = fmax(trial[CORNER_BLUR], LEAST_BLUR);
-            td_corner_model(window, trial);
-            double cost = dot(window->residual, window->residual, window->count);
-            bool small = hypot(step[CORNER_X], step[CORNER_Y]) < enough;
-            if (!(cost <= f->cost * (1 + 1e-6 * small))) continue;
+    normal_equations(f, gradient, window);
+    for (int iteration = 0; iteration < MOST_ITERATIONS; iteration++) {
+        if (!solve_step(step, &predicted, f, gradient, damping)) return false;
+        for (int i = 0; i < N; i++) trial[i] = f->parameter[i] + step[i];
+        trial[CORNER_BLUR] = fmax(trial[CORNER_BLUR], LEAST_BLUR);
+        td_corner_model(window, trial);
+        double cost = dot(window->residual, window->residual, window->count), gain = f->cost - cost;
+        bool small = damping < 1 && hypot(step[CORNER_X], step[CORNER_Y]) < enough;
+        if (gain > 0 || small) {
             memcpy(f->parameter, trial, sizeof trial);
             f->cost = cost;
             if (small) return true;
-            break;
+            normal_equations(f, gradient, window);
         }
-        damping *= 0.1;
+        /* A poor gain tells of steps to and fro across the minimum, as on the sharpest edges. */
+        damping = gain > 0.25 * predicted ? 0.1 * damping : 10 * damping + 0.03;
     }
-    return true;
+    return false;
 }
 
 /* Blocks are numbered outwards from the corner's nearest half pixel, so that each has its mirror image. */
@@ -304,6 +318,18 @@ static bool variances(double *white, double *blocked, const fit *f, corner_windo
     return true;
 }
 
+static double residual_of(const fit *f, const corner_window *window)
+{
+    return sqrt(f->cost / (window->count - N));
+}
+
+/* Whether the model explains the pixels. */
+static bool explains(const fit *f, const corner_window *window)
+{
+    double contrast = 2 * fabs(f->parameter[CORNER_HALF]);
+    return contrast > LEAST_CONTRAST && residual_of(f, window) < MOST_RESIDUAL * contrast;
+}
+
 /* Fits in a small window, then in one as large as the squares, the blur and the image allow, until the window
  * sits on the corner. False when it does not come to rest near `start`. */
 static bool settle(fit *f, corner_window *window, const td_image *image, const double start[2],
@@ -319,7 +345,7 @@ static bool settle(fit *f, corner_window *window, const td_image *image, const d
         f->parameter[CORNER_X] = at[0] - window->origin[0];
         f->parameter[CORNER_Y] = at[1] - window->origin[1];
         if (pass == 0) first_greys(f, window);
-        if (!minimise(f, window, pass == 0 ? FIRST_STEP : LAST_STEP)) return false;
+        if (!minimise(f, window, pass == 0 ? FIRST_STEP : LAST_STEP) || !explains(f, window)) return false;
         double now[2] = {window->origin[0] + f->parameter[CORNER_X],
                          window->origin[1] + f->parameter[CORNER_Y]};
         double moved = hypot(now[0] - at[0], now[1] - at[1]);
@@ -330,17 +356,6 @@ static bool settle(fit *f, corner_window *window, const td_image *image, const d
         radius = wanted;
     }
     return false;
-}
-
-/* A fit is a corner when the model explains the pixels, the lines run as the steps do, and it is well
- * determined. */
-static bool is_corner(const td_corner *corner, const fit *f, const double start_angle[2])
-{
-    bool along_steps = fabs(sin(f->parameter[CORNER_ANGLE_1] - start_angle[0])) < MOST_TURN &&
-                       fabs(sin(f->parameter[CORNER_ANGLE_2] - start_angle[1])) < MOST_TURN;
-    return along_steps && fabs(corner->contrast) > LEAST_CONTRAST &&
-           corner->residual < MOST_RESIDUAL * fabs(corner->contrast) && corner->sigma < MOST_SIGMA &&
-           corner->white < MOST_SIGMA;
 }
 
 bool td_corner_refine(td_corner *corner, const td_image *image, const double start[2],
@@ -363,6 +378,8 @@ bool td_corner_refine(td_corner *corner, const td_image *image, const double sta
         .white = sqrt(white),
         .blur = f.parameter[CORNER_BLUR],
         .contrast = (cross > 0 ? -2 : 2) * f.parameter[CORNER_HALF],
-        .residual = sqrt(f.cost / (window.count - N))};
-    return is_corner(corner, &f, angle);
+        .residual = residual_of(&f, &window)};
+    return fabs(sin(f.parameter[CORNER_ANGLE_1] - angle[0])) < MOST_TURN &&
+           fabs(sin(f.parameter[CORNER_ANGLE_2] - angle[1])) < MOST_TURN && corner->sigma < MOST_SIGMA &&
+           corner->white < MOST_SIGMA;
 }

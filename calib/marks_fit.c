@@ -25,6 +25,7 @@ enum {
     SHADE_Y,
     PARAMETERS,
     MAX_ITERATIONS = 12,
+    MAX_NEIGHBOURS = 8,
 };
 
 /* Bulge per pixel of radius, one standard deviation: five times what k1 = -0.3 does at the edge of a wide
@@ -32,6 +33,40 @@ enum {
 static const double BULGE_PER_PX = 1e-3;
 
 static const double PI = 3.14159265358979323846;
+
+/* An ellipse for many distances: the inverse of B, and of B^2. */
+typedef struct ellipse {
+    double x, y, inverse[3], inverse2[3]; /* xx, xy, yy */
+} ellipse;
+
+static ellipse ellipse_of(const double *edge)
+{
+    double xx = edge[TD_EDGE_BXX], xy = edge[TD_EDGE_BXY], yy = edge[TD_EDGE_BYY], det = xx * yy - xy * xy;
+    ellipse e = {edge[TD_EDGE_CX], edge[TD_EDGE_CY], {yy / det, -xy / det, xx / det}, {0}};
+    const double *i = e.inverse;
+    e.inverse2[0] = i[0] * i[0] + i[1] * i[1];
+    e.inverse2[1] = i[1] * (i[0] + i[2]);
+    e.inverse2[2] = i[1] * i[1] + i[2] * i[2];
+    return e;
+}
+
+/* A pixel's distance from the edge to first order (Sampson 1982) is excess / slope, px; both squared below,
+ * because there are many pixels. excess < 0: inside. */
+typedef struct offset {
+    double excess, slope2;
+} offset;
+
+static offset offset_at(const ellipse *e, double x, double y)
+{
+    double dx = x - e->x, dy = y - e->y;
+    double gx = e->inverse2[0] * dx + e->inverse2[1] * dy, gy = e->inverse2[1] * dx + e->inverse2[2] * dy;
+    return (offset){gx * dx + gy * dy - 1, 4 * (gx * gx + gy * gy)};
+}
+
+static bool is_within(offset o, double distance)
+{
+    return o.excess * o.excess < distance * distance * o.slope2;
+}
 
 typedef struct problem {
     td_mark_fit *fit;
@@ -44,6 +79,8 @@ typedef struct problem {
     double cost;         /* sum of their squared residuals, and of the prior */
     double bulge_weight; /* of the prior: squared bulge against squared grey levels */
     double h[PARAMETERS * PARAMETERS], g[PARAMETERS];
+    ellipse neighbour[MAX_NEIGHBOURS]; /* other blobs nearby */
+    int neighbours;
 } problem;
 
 void td_mark_fit_free(td_mark_fit *fit)
@@ -89,40 +126,6 @@ static void eigenvalues(double value[2], const double s[3])
     value[1] = half + root;
 }
 
-/* An ellipse for many distances: the inverse of B, and of B^2. */
-typedef struct ellipse {
-    double x, y, inverse[3], inverse2[3]; /* xx, xy, yy */
-} ellipse;
-
-static ellipse ellipse_of(const double *edge)
-{
-    double xx = edge[TD_EDGE_BXX], xy = edge[TD_EDGE_BXY], yy = edge[TD_EDGE_BYY], det = xx * yy - xy * xy;
-    ellipse e = {edge[TD_EDGE_CX], edge[TD_EDGE_CY], {yy / det, -xy / det, xx / det}, {0}};
-    const double *i = e.inverse;
-    e.inverse2[0] = i[0] * i[0] + i[1] * i[1];
-    e.inverse2[1] = i[1] * (i[0] + i[2]);
-    e.inverse2[2] = i[1] * i[1] + i[2] * i[2];
-    return e;
-}
-
-/* A pixel's distance from the edge to first order (Sampson 1982) is excess / slope, px; both squared below,
- * because there are many pixels. excess < 0: inside. */
-typedef struct offset {
-    double excess, slope2;
-} offset;
-
-static offset offset_at(const ellipse *e, double x, double y)
-{
-    double dx = x - e->x, dy = y - e->y;
-    double gx = e->inverse2[0] * dx + e->inverse2[1] * dy, gy = e->inverse2[1] * dx + e->inverse2[2] * dy;
-    return (offset){gx * dx + gy * dy - 1, 4 * (gx * gx + gy * gy)};
-}
-
-static bool is_within(offset o, double distance)
-{
-    return o.excess * o.excess < distance * distance * o.slope2;
-}
-
 /* The window around the ellipse with `margin` px on each side, clipped to the image. */
 static bool place_window(problem *p, double margin)
 {
@@ -138,8 +141,18 @@ static bool place_window(problem *p, double margin)
     return true;
 }
 
-/* Takes the pixels within `band` px of the edge. */
-static bool choose_pixels(problem *p, double band, bool *memory)
+/* Does the pixel show another blob, or the blurred edge of one up to `distance` px away? */
+static bool is_neighbours(const problem *p, double x, double y, double distance)
+{
+    for (int i = 0; i < p->neighbours; i++) {
+        offset o = offset_at(&p->neighbour[i], x, y);
+        if (o.excess < 0 || is_within(o, distance)) return true;
+    }
+    return false;
+}
+
+/* Takes the pixels within `band` px of the edge, where no neighbour's edge of blur `smear` is. */
+static bool choose_pixels(problem *p, double band, double smear, bool *memory)
 {
     if (!place_window(p, band)) return false;
     td_window *w = &p->window;
@@ -150,7 +163,7 @@ static bool choose_pixels(problem *p, double band, bool *memory)
         const uint8_t *row = p->image->data + (size_t)(w->y0 + j) * p->image->width + w->x0;
         for (int k = 0; k < w->width; k++, i++) {
             double x = w->x0 + k, y = w->y0 + j;
-            bool near = is_within(offset_at(&e, x, y), band);
+            bool near = is_within(offset_at(&e, x, y), band) && !is_neighbours(p, x, y, 2 * smear);
             p->fit->slot[i] = near ? p->rows : -1;
             if (near) p->fit->pixel[p->rows++] = (td_mark_pixel){.index = i, .x = x, .y = y, .grey = row[k]};
         }
@@ -299,7 +312,8 @@ static bool start_levels(problem *p)
         for (int i = 0; i < w->width; i++) {
             offset o = offset_at(&e, w->x0 + i, w->y0 + j);
             bool edge = is_within(o, 1.5);
-            if (o.excess > 0 && !edge && is_within(o, 4)) ring[row[i]]++, total++;
+            if (o.excess > 0 && !edge && is_within(o, 4) && !is_neighbours(p, w->x0 + i, w->y0 + j, 1.5))
+                ring[row[i]]++, total++;
             if (o.excess < 0 && !edge) core += row[i], count++;
             if (o.excess < deepest) deepest = o.excess, at_deepest = row[i];
         }
@@ -326,7 +340,7 @@ static bool start_edge(problem *p)
             double x = w->x0 + i - p->origin[0], y = w->y0 + j - p->origin[1];
             offset o = offset_at(&e, w->x0 + i, w->y0 + j);
             bool edge = is_within(o, 2.5);
-            if (o.excess > 0 && !edge) continue;
+            if (o.excess > 0 && (!edge || is_neighbours(p, w->x0 + i, w->y0 + j, 1))) continue;
             double v = fmin(fmax((row[i] - outside) / contrast, 0), 1);
             m[0] += v, m[1] += v * x, m[2] += v * y, m[3] += v * x * x, m[4] += v * x * y, m[5] += v * y * y;
             if (edge) across += v * (1 - v);
@@ -345,6 +359,35 @@ static bool start_edge(problem *p)
     p->p[TD_EDGE_CY] = p->origin[1] + y;
     p->p[TD_EDGE_BLUR] = fmax(blur, TD_MARK_MIN_BLUR);
     return true;
+}
+
+static ellipse ellipse_of_blob(const td_blob *blob)
+{
+    double edge[TD_EDGE_PARAMETERS] = {blob->centroid[0], blob->centroid[1]}, c[3];
+    for (int i = 0; i < 3; i++) c[i] = 4 * blob->covariance[i];
+    symmetric_root(edge + TD_EDGE_BXX, c);
+    return ellipse_of(edge);
+}
+
+/* The blobs that lie beside this one; others are this one again, from another window. */
+static void find_neighbours(problem *p, const td_blob *blob, size_t count, size_t self)
+{
+    const td_blob *b = &blob[self];
+    const ellipse e = ellipse_of_blob(b);
+    double half_x = 2 * sqrt(b->covariance[0]) + 8, half_y = 2 * sqrt(b->covariance[2]) + 8;
+    for (size_t i = 0; i < count && p->neighbours < MAX_NEIGHBOURS; i++) {
+        double dx = fabs(blob[i].centroid[0] - b->centroid[0]),
+               dy = fabs(blob[i].centroid[1] - b->centroid[1]);
+        if (blob[i].light != b->light || dx > half_x + 2 * sqrt(blob[i].covariance[0]) ||
+            dy > half_y + 2 * sqrt(blob[i].covariance[2]) ||
+            offset_at(&e, blob[i].centroid[0], blob[i].centroid[1]).excess < 0)
+            continue;
+        ellipse n = ellipse_of_blob(&blob[i]);
+        bool again = offset_at(&n, b->centroid[0], b->centroid[1]).excess < 0;
+        for (int k = 0; k < p->neighbours && !again; k++)
+            again = offset_at(&p->neighbour[k], n.x, n.y).excess < 0;
+        if (!again) p->neighbour[p->neighbours++] = n;
+    }
 }
 
 /* The first estimate, from the blob. */
@@ -440,7 +483,7 @@ static bool fit_edge(problem *p, bool *memory)
         double area = q[TD_EDGE_BXX] * q[TD_EDGE_BYY] - q[TD_EDGE_BXY] * q[TD_EDGE_BXY];
         double variance = p->used > PARAMETERS ? variance_of(p) : 1;
         p->bulge_weight = variance / (BULGE_PER_PX * BULGE_PER_PX * area);
-        if (!choose_pixels(p, 1 + 2.5 * smear, memory)) return false;
+        if (!choose_pixels(p, 1 + 2.5 * smear, smear, memory)) return false;
         evaluate(p, true);
         double contrast = q[INSIDE] - q[OUTSIDE];
         if (p->cost > 0.09 * contrast * contrast * p->rows || !descend(p)) return false;
@@ -473,7 +516,7 @@ static bool report(td_mark *mark, const problem *p, const td_blob *blob)
     *mark = (td_mark){
         .centre = {q[TD_EDGE_CX], q[TD_EDGE_CY]},
         .shape = {(yy * yy + xy * xy) / det2, -xy * (xx + yy) / det2, (xx * xx + xy * xy) / det2},
-        .blur = q[TD_EDGE_BLUR],
+        .blur = sqrt(q[TD_EDGE_BLUR] * q[TD_EDGE_BLUR] + 1.0 / 12), /* with the pixel's own */
         .inside = q[INSIDE],
         .outside = q[OUTSIDE],
         .sigma = sqrt(0.5 * variance_of(p) * (inverse[0] + inverse[PARAMETERS + 1])),
@@ -483,13 +526,14 @@ static bool report(td_mark *mark, const problem *p, const td_blob *blob)
 }
 
 td_status td_mark_fit_blob(td_mark *mark, bool *ok, td_mark_fit *fit, const td_image *image,
-                           const td_blob *blob, td_error *error)
+                           const td_blob *blob, size_t count, size_t index, td_error *error)
 {
     problem p = {.fit = fit, .image = image};
+    const td_blob *b = &blob[index];
     bool memory = true;
-    *ok = start(&p, blob) && fit_edge(&p, &memory) && plausible(&p, blob) && report(mark, &p, blob);
-    return memory ? TD_OK
-                  : td_fail(error, TD_ERROR_MEMORY, "no memory to fit a mark of %.0f px^2", blob->area);
+    find_neighbours(&p, blob, count, index);
+    *ok = start(&p, b) && fit_edge(&p, &memory) && plausible(&p, b) && report(mark, &p, b);
+    return memory ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory to fit a mark of %.0f px^2", b->area);
 }
 
 /* A window that is smaller than a mark and one that is larger both find it. */
@@ -504,21 +548,50 @@ static double mark_area(const td_mark *mark)
     return PI / sqrt(mark->shape[0] * mark->shape[2] - mark->shape[1] * mark->shape[1]);
 }
 
-static bool already_seen(const td_blob *blob, const td_mark *mark, size_t marks, const td_blob *failed,
-                         size_t fails)
+static bool already_seen(const td_blob *blob, size_t self, const td_mark *mark, size_t marks,
+                         const size_t *failed, size_t fails)
 {
+    const td_blob *b = &blob[self];
     for (size_t i = 0; i < marks; i++)
-        if (same(mark[i].centre, mark_area(&mark[i]), blob, 1 + 0.25 * sqrt(blob->area), 3)) return true;
+        if (same(mark[i].centre, mark_area(&mark[i]), b, 1 + 0.25 * sqrt(b->area), 3)) return true;
     for (size_t i = 0; i < fails; i++)
-        if (same(failed[i].centroid, failed[i].area, blob, 0.3, 1.05)) return true;
+        if (same(blob[failed[i]].centroid, blob[failed[i]].area, b, 0.3, 1.05)) return true;
     return false;
+}
+
+/* Is the last mark one of those before it, found again from another blob? */
+static bool is_double(const td_mark *mark, size_t last)
+{
+    for (size_t i = 0; i < last; i++) {
+        double dx = mark[i].centre[0] - mark[last].centre[0], dy = mark[i].centre[1] - mark[last].centre[1];
+        if (hypot(dx, dy) < 1 + 0.1 * sqrt(mark_area(&mark[last]))) return true;
+    }
+    return false;
+}
+
+/* Fits all blobs; mark and failed have room for all. */
+static td_status fit_all(td_mark *mark, size_t *found, size_t *failed, td_mark_fit *fit,
+                         const td_image *image, const td_blob *blob, size_t blobs, td_error *error)
+{
+    size_t fails = 0;
+    td_normal_table_init(&fit->table);
+    for (size_t i = 0; i < blobs; i++) {
+        bool ok;
+        if (already_seen(blob, i, mark, *found, failed, fails)) continue;
+        TD_TRY(td_mark_fit_blob(&mark[*found], &ok, fit, image, blob, blobs, i, error));
+        if (!ok)
+            failed[fails++] = i;
+        else if (!is_double(mark, *found))
+            ++*found;
+    }
+    return TD_OK;
 }
 
 td_status td_marks_find(td_mark **marks, size_t *count, const td_image *image, td_mark_polarity polarity,
                         td_error *error)
 {
     td_blob *blob = NULL;
-    size_t blobs = 0, found = 0, failed = 0;
+    size_t blobs = 0;
     *marks = NULL;
     *count = 0;
     if (!image || !image->data || image->width < 1 || image->height < 1 || image->channels != 1)
@@ -526,27 +599,20 @@ td_status td_marks_find(td_mark **marks, size_t *count, const td_image *image, t
                        "marks are looked for in a grey image of at least one pixel");
     TD_TRY(td_marks_blobs(&blob, &blobs, image, polarity, error));
     td_mark *mark = malloc((blobs + 1) * sizeof *mark);
+    size_t *failed = malloc((blobs + 1) * sizeof *failed);
     td_mark_fit *fit = calloc(1, sizeof *fit);
-    td_status status = TD_OK;
-    if (!mark || !fit) status = td_fail(error, TD_ERROR_MEMORY, "no memory for %zu marks", blobs);
-    if (status == TD_OK) td_normal_table_init(&fit->table);
-    for (size_t i = 0; i < blobs && status == TD_OK; i++) {
-        if (already_seen(&blob[i], mark, found, blob, failed)) continue;
-        bool ok;
-        status = td_mark_fit_blob(&mark[found], &ok, fit, image, &blob[i], error);
-        if (ok)
-            found++;
-        else
-            blob[failed++] = blob[i];
-    }
+    td_status status = TD_ERROR_MEMORY;
+    if (mark && failed && fit)
+        status = fit_all(mark, count, failed, fit, image, blob, blobs, error);
+    else
+        td_fail(error, TD_ERROR_MEMORY, "no memory for %zu marks", blobs);
     if (fit) td_mark_fit_free(fit);
     free(fit);
+    free(failed);
     free(blob);
-    if (status != TD_OK) {
+    if (status == TD_OK)
+        *marks = mark;
+    else
         free(mark);
-        return status;
-    }
-    *marks = mark;
-    *count = found;
-    return TD_OK;
+    return status;
 }

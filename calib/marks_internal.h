@@ -89,10 +89,10 @@ typedef struct td_mark_fit {
 } td_mark_fit;
 void td_mark_fit_free(td_mark_fit *fit);
 
-/* Fits the model to the image around the blob. *ok = false when there is no mark; an error only for want of
- * memory. */
+/* Fits the model to the image around blob[index] of (count), leaving out what belongs to other blobs. *ok =
+ * false when there is no mark; an error only for want of memory. */
 td_status td_mark_fit_blob(td_mark *mark, bool *ok, td_mark_fit *fit, const td_image *image,
-                           const td_blob *blob, td_error *error);
+                           const td_blob *blob, size_t count, size_t index, td_error *error);
 
 /* ---- Step three: lattices. ---- */
 

@@ -60,7 +60,9 @@ td_status td_null_vector(double *x, double *ratio, const double *a, size_t m, si
 td_status td_least_squares_linear(double *x, size_t *rank, const double *a, const double *b, size_t m, size_t n,
                                   td_error *error)
 {
-    double *work = copy_of(a, m * n), *right = copy_of(b, m), *s = malloc((n ? n : 1) * sizeof *s);
+    if (m < n || !n)
+        return td_fail(error, TD_ERROR_ARGUMENT, "linear least squares: %zu equations for %zu unknowns", m, n);
+    double *work = copy_of(a, m * n), *right = copy_of(b, m), *s = malloc(n * sizeof *s);
     lapack_int found = 0, info = 0;
     td_status status = TD_OK;
     if (!work || !right || !s) {

@@ -7,13 +7,24 @@
 
 enum { DEFAULT_WIDTH = 640, QUALITY = 85, PAGE_WIDTH = 1000 };
 
+/* fmin and fmax are calls, for the sake of NaN. */
+static double lesser(double a, double b)
+{
+    return a < b ? a : b;
+}
+
+static double greater(double a, double b)
+{
+    return a > b ? a : b;
+}
+
 /* One row of the result, as sums weighted by the share that each pixel of the image has in it. */
 static void average_rows(double *sum, const td_image *image, double from, double to)
 {
     size_t length = (size_t)image->width * (size_t)image->channels;
     memset(sum, 0, length * sizeof *sum);
     for (int y = (int)from; y < image->height && y < to; y++) {
-        double share = (fmin(to, y + 1) - fmax(from, y)) / (to - from);
+        double share = (lesser(to, y + 1) - greater(from, y)) / (to - from);
         const uint8_t *row = image->data + (size_t)y * length;
         for (size_t i = 0; i < length; i++) sum[i] += share * row[i];
     }
@@ -26,8 +37,8 @@ static void average_columns(uint8_t *row, int width, const double *sum, const td
         for (int c = 0; c < image->channels; c++) {
             double from = x * step, to = from + step, value = 0;
             for (int k = (int)from; k < image->width && k < to; k++)
-                value += (fmin(to, k + 1) - fmax(from, k)) / step * sum[k * image->channels + c];
-            row[x * image->channels + c] = (uint8_t)lround(fmin(fmax(value, 0), 255));
+                value += (lesser(to, k + 1) - greater(from, k)) * sum[k * image->channels + c];
+            row[x * image->channels + c] = (uint8_t)(lesser(greater(value / step, 0), 255) + 0.5);
         }
 }
 

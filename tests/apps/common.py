@@ -40,7 +40,6 @@ def finish():
 def run(*arguments, env=None, timeout=300, cwd=None, before=None):
     """Exit status (None: it hung), standard output, standard error; before() is called in the child."""
     environment = dict(os.environ, **(env or {}))
-    # Python ignores SIGXFSZ and would hand that down: the program is to meet the signals as it does in a shell.
     try:
         done = subprocess.run([PROGRAM, *map(str, arguments)], capture_output=True, encoding="utf-8", errors="replace",
                               timeout=timeout, env=environment, cwd=cwd, preexec_fn=before)
@@ -63,7 +62,7 @@ def fault_of_sentence(errors, command):
 def refused(what, status, words, *arguments, command="calibrate", out=None, **how):
     """Shows that a bad job ends with `status`, one sentence that holds all `words`, and no product. Returns the sentence."""
     with tempfile.TemporaryDirectory() as folder:
-        target = out or os.path.join(folder, "out")
+        target = os.path.join(folder, "out") if out is None else out
         code, text, errors = run(command, *arguments, "-o", target, **dict({"timeout": 60}, **how))
         faults = [fault_of_sentence(errors, command)]
         if code != status:
@@ -71,7 +70,7 @@ def refused(what, status, words, *arguments, command="calibrate", out=None, **ho
         faults += [f"'{word}' is not named" for word in words if word not in errors]
         if text:
             faults.append("something on standard output")
-        if not out and os.path.isdir(target) and os.listdir(target):
+        if out is None and os.path.isdir(target) and os.listdir(target):
             faults.append(f"left {os.listdir(target)}")
     faults = [fault for fault in faults if fault]
     check(not faults, f"{what}: {shortened(errors)}" + "".join(f" [{fault}]" for fault in faults))

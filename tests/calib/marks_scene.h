@@ -1,6 +1,6 @@
-/* Rendered images of marks whose truth is known: exact areas of polygons, a Gaussian blur, uneven light, noise, eight
- * bits. Shares nothing with the detector: the coverage is that of the polygon of the projected rim, summed by
- * signed trapezoids on a grid of subpixels, and the blur is a discrete convolution there. */
+/* Rendered images of marks whose truth is known: exact areas of polygons, a Gaussian blur, uneven light,
+ * noise, eight bits. Shares nothing with the detector: the coverage is that of the polygon of the projected
+ * rim, summed by signed trapezoids on a grid of subpixels, and the blur is a discrete convolution there. */
 #ifndef TELEDIMOS_TESTS_CALIB_MARKS_SCENE_H
 #define TELEDIMOS_TESTS_CALIB_MARKS_SCENE_H
 
@@ -27,7 +27,8 @@ static inline scene scene_new(int width, int height, double blur)
     return (scene){width, height, calloc((size_t)width * (size_t)height, sizeof(double)), blur};
 }
 
-/* Adds to area (h,w) how much of each cell the part of a polygon's edge from (x0, y0) to (x1, y1) has on its right. */
+/* Adds to area (h,w) how much of each cell the part of a polygon's edge from (x0, y0) to (x1, y1) has on its
+ * right. */
 static inline void add_edge(double *area, int w, int h, double x0, double y0, double x1, double y1)
 {
     double sign = 1;
@@ -41,10 +42,14 @@ static inline void add_edge(double *area, int w, int h, double x0, double y0, do
         double xa = x0 + (ya - y0) * (x1 - x0) / (y1 - y0), xb = x0 + (yb - y0) * (x1 - x0) / (y1 - y0);
         double left = fmin(xa, xb), right = fmax(xa, xb), height = sign * (yb - ya);
         for (int x = (int)floor(fmax(left, 0)); x < w; x++) {
-            /* Mean over the edge of the part of the cell on its right; the edge runs from left to right evenly. */
-            double a = fmin(fmax(left, x), x + 1), b = fmin(fmax(right, x), x + 1), span = right - left, share;
-            if (span < 1e-12) share = fmin(fmax(x + 1 - left, 0), 1);
-            else share = (fmax(fmin(right, x) - left, 0) + (b - a) * (x + 1 - 0.5 * (a + b))) / span;
+            /* Mean over the edge of the part of the cell on its right; the edge runs from left to right
+             * evenly. */
+            double a = fmin(fmax(left, x), x + 1), b = fmin(fmax(right, x), x + 1), span = right - left,
+                   share;
+            if (span < 1e-12)
+                share = fmin(fmax(x + 1 - left, 0), 1);
+            else
+                share = (fmax(fmin(right, x) - left, 0) + (b - a) * (x + 1 - 0.5 * (a + b))) / span;
             area[(size_t)y * (size_t)w + (size_t)x] += height * share;
             if (x > right) { /* all cells beyond have the edge on their left */
                 for (int k = x + 1; k < w; k++) area[(size_t)y * (size_t)w + (size_t)k] += height;
@@ -77,7 +82,8 @@ static inline void scene_add_polygon(scene *s, const double *xy, int n)
     int x1 = (int)ceil(high[0]) + margin, y1 = (int)ceil(high[1]) + margin;
     if (x1 < 0 || y1 < 0 || x0 >= s->width || y0 >= s->height) return;
     int w = (x1 - x0 + 1) * SUBPIXELS, h = (y1 - y0 + 1) * SUBPIXELS;
-    double *area = calloc((size_t)w * (size_t)h, sizeof *area), *other = calloc((size_t)w * (size_t)h, sizeof *other);
+    double *area = calloc((size_t)w * (size_t)h, sizeof *area),
+           *other = calloc((size_t)w * (size_t)h, sizeof *other);
     for (int i = 0; i < n; i++) {
         const double *a = xy + 2 * i, *b = xy + 2 * ((i + 1) % n);
         add_edge(area, w, h, (a[0] + 0.5 - x0) * SUBPIXELS, (a[1] + 0.5 - y0) * SUBPIXELS,
@@ -90,7 +96,8 @@ static inline void scene_add_polygon(scene *s, const double *xy, int n)
         sum += weight[k + reach] = s->blur > 0 ? exp(-0.5 * at * at) : 1;
     }
     for (int k = 0; k <= 2 * reach; k++) weight[k] /= sum;
-    for (int y = 0; y < h; y++) convolve(other + (size_t)y * (size_t)w, area + (size_t)y * (size_t)w, w, 1, weight, reach);
+    for (int y = 0; y < h; y++)
+        convolve(other + (size_t)y * (size_t)w, area + (size_t)y * (size_t)w, w, 1, weight, reach);
     for (int x = 0; x < w; x++) convolve(area + x, other + x, h, w, weight, reach);
     for (int y = 0; y < h; y++)
         for (int x = 0; x < w; x++) {
@@ -105,8 +112,8 @@ static inline void scene_add_polygon(scene *s, const double *xy, int n)
 }
 
 /* The image of a disc's rim as a polygon, and its centre of gravity (may be NULL). */
-static inline int rim_of_disc(double *xy, double centroid[2], const td_camera *camera, const td_pose *camera_from_plane,
-                              double x, double y, double diameter)
+static inline int rim_of_disc(double *xy, double centroid[2], const td_camera *camera,
+                              const td_pose *camera_from_plane, double x, double y, double diameter)
 {
     for (int i = 0; i < MAX_RIM; i++) {
         double angle = 2 * PI * i / MAX_RIM;
@@ -117,7 +124,8 @@ static inline int rim_of_disc(double *xy, double centroid[2], const td_camera *c
     double area = 0, m[2] = {0};
     for (int i = 0; i < MAX_RIM; i++) {
         const double *a = xy + 2 * i, *b = xy + 2 * ((i + 1) % MAX_RIM);
-        double ax = a[0] - xy[0], ay = a[1] - xy[1], bx = b[0] - xy[0], by = b[1] - xy[1], cross = ax * by - ay * bx;
+        double ax = a[0] - xy[0], ay = a[1] - xy[1], bx = b[0] - xy[0], by = b[1] - xy[1],
+               cross = ax * by - ay * bx;
         area += cross / 2;
         m[0] += (ax + bx) * cross / 6;
         m[1] += (ay + by) * cross / 6;
@@ -184,10 +192,10 @@ static inline td_image *scene_image(scene *s, const light *l, td_random *random)
     return image;
 }
 
-/* A plane whose point (x, y) is seen at `pixel` at a distance; `tilt` away from facing the camera about an axis at
- * `azimuth`, then turned in itself by `roll` (rad). */
-static inline td_pose pose_of_plane(const td_camera *camera, const double pixel[2], double distance, double tilt,
-                                    double azimuth, double roll, double x, double y)
+/* A plane whose point (x, y) is seen at `pixel` at a distance; `tilt` away from facing the camera about an
+ * axis at `azimuth`, then turned in itself by `roll` (rad). */
+static inline td_pose pose_of_plane(const td_camera *camera, const double pixel[2], double distance,
+                                    double tilt, double azimuth, double roll, double x, double y)
 {
     double ray[3], q[4], omega[3];
     assert_true(td_camera_unproject(ray, NULL, NULL, camera, pixel));

@@ -84,6 +84,7 @@ static void test_least_squares_linear(void **state)
     check_ok(td_least_squares_linear(x, &rank, a, b, M, N, &error), error);
     assert_int_equal(rank, 3);
     check_near(x[3], x[2], 1e-10); /* shortest solution shares equally */
+    check_fails(td_least_squares_linear(x, &rank, a, b, 3, N, &error), TD_ERROR_ARGUMENT, error, "3 equations for 4");
 }
 
 static void test_invert_and_sandwich(void **state)
