@@ -10,10 +10,10 @@
 #include "calib/chessboard_internal.h"
 #include "calib/corner.h"
 
-static const double COARSE_PIXELS = 1.2e6;    /* an image is halved until it has fewer */
-static const double UNSEEN_SHARE = 0.2;       /* of the corners, at most, in a board that counts as found */
-static const double BLURRED = 3;              /* px, standard deviation of the edges */
-static const double OFFSET_PER_SPREAD = 0.14; /* local threshold's, by the greys' standard deviation */
+static const double COARSE_PIXELS = 1.2e6; /* an image is halved until it has fewer */
+static const double UNSEEN_SHARE = 0.2;    /* of the corners, at most, in a board that counts as found */
+static const double BLURRED = 3;           /* px, standard deviation of the edges */
+enum { LEAST_SIDE = 30 };                  /* px, of an image in which a board is looked for */
 
 /* A board in the image, in any order. */
 typedef struct board {
@@ -60,26 +60,25 @@ static double spread_of(const td_image *image)
     return sqrt(fmax((double)square / (double)n - mean * mean, 0));
 }
 
-/* By quadrangles: against the means of blocks of a tenth and a twentieth of the image, and by the histogram.
- */
-static td_status search_quadrangles(board *b, bool *found, const td_image *image, int tries, td_error *error)
+/* By quadrangles: the first threshold suits most images, the second small squares and noise, the third dark
+ * corners. */
+static td_status search_quadrangles(board *b, bool *found, const td_image *image, td_error *error)
 {
     const int side = image->width < image->height ? image->width : image->height;
-    const double offset = OFFSET_PER_SPREAD * spread_of(image);
-    const td_chessboard_threshold threshold[3] = {
-        {(side / 10) | 1, offset, 0}, {(side / 20) | 1, offset, 3}, {0, 0, 0}};
+    const double spread = spread_of(image);
+    const td_chessboard_threshold threshold[] = {{(side / 10) | 1, 0.14 * spread, 0},
+                                                 {(side / 20) | 1, 0.14 * spread, 3},
+                                                 {(side / 7) | 1, 0.03 * spread, 5}};
     *found = false;
-    for (int i = 0; i < tries && !*found; i++) {
-        if (threshold[i].block == 1) continue;
+    for (int i = 0; i < 3 && !*found; i++)
         TD_TRY(
             td_chessboard_by_quadrangles(b->start, found, image, b->columns, b->rows, &threshold[i], error));
-    }
     return TD_OK;
 }
 
 static td_status search_once(board *b, bool *found, const td_image *image, bool thorough, td_error *error)
 {
-    TD_TRY(search_quadrangles(b, found, image, thorough ? 3 : 2, error));
+    TD_TRY(search_quadrangles(b, found, image, error));
     if (*found || !thorough) return TD_OK;
     int columns = b->columns, rows = b->rows;
     return td_chessboard_by_sectors(b->start, (size_t)board_count(b), found, &columns, &rows, false, image,
@@ -105,6 +104,7 @@ static td_status search(board *b, bool *found, const td_image *image, td_error *
 {
     *found = false;
     const int most = halvings(image);
+    if (image->width < LEAST_SIDE || image->height < LEAST_SIDE) return TD_OK;
     for (int times = most; times >= 0 && !*found; times--) {
         td_image *small = NULL;
         if (times > 0) TD_TRY(td_image_shrink(&small, image, times, error));
@@ -134,29 +134,24 @@ static void steps_at(double along_column[2], double along_row[2], const board *b
     }
 }
 
-static void swap_bytes(void *a, void *b, size_t size)
-{
-    unsigned char *p = a, *q = b;
-    for (size_t i = 0; i < size; i++) {
-        unsigned char kept = p[i];
-        p[i] = q[i], q[i] = kept;
-    }
-}
-
 /* Reverses every row when columns to the right and rows downwards would show the board's back. */
 static void face_front(board *b)
 {
     double turn = 0, x[2], y[2];
-    for (int r = 0; r < b->rows; r++)
-        for (int c = 0; c < b->columns; c++) {
-            steps_at(x, y, b, c, r);
-            turn += x[0] * y[1] - x[1] * y[0];
-        }
+    for (int i = 0; i < board_count(b); i++) {
+        steps_at(x, y, b, i % b->columns, i / b->columns);
+        turn += x[0] * y[1] - x[1] * y[0];
+    }
     if (turn > 0) return;
-    for (int r = 0; r < b->rows; r++)
+    for (int r = 0; r < b->rows; r++) {
+        double *row = b->start + 2 * r * b->columns;
         for (int i = 0, j = b->columns - 1; i < j; i++, j--)
-            swap_bytes(b->start + 2 * (r * b->columns + i), b->start + 2 * (r * b->columns + j),
-                       2 * sizeof *b->start);
+            for (int k = 0; k < 2; k++) {
+                double kept = row[2 * i + k];
+                row[2 * i + k] = row[2 * j + k];
+                row[2 * j + k] = kept;
+            }
+    }
 }
 
 /* Sign of the contrast at corner (0, 0), by the majority of corners: it alternates over the board. */
@@ -227,7 +222,9 @@ static bool goes_on_at(const board *b, const td_image *image, int i, int inwards
         next[c] = 3 * b->corner[i].position[c] - 3 * b->corner[j].position[c] + b->corner[k].position[c];
     steps_at(x, y, b, i % b->columns, i / b->columns);
     td_corner beyond;
-    return td_corner_refine(&beyond, image, next, x, y) && beyond.contrast * b->corner[i].contrast < 0;
+    const td_corner *edge = &b->corner[i];
+    return td_corner_refine(&beyond, image, next, x, y) && beyond.contrast * edge->contrast < 0 &&
+           fabs(beyond.contrast) > 0.5 * fabs(edge->contrast) && beyond.residual < 2 * edge->residual;
 }
 
 /* At the middle of a side, and at one of its quarters. */
@@ -366,7 +363,7 @@ static double edge_blur(const td_image *image)
     return (i + 0.5) / PER_PX;
 }
 
-/* "; the image is blurred …" when it is. */
+/* ": the image is blurred …" when it is, else "". */
 static const char *blur_remark(char remark[96], const td_image *image)
 {
     double blur = edge_blur(image);
@@ -380,15 +377,16 @@ static const char *blur_remark(char remark[96], const td_image *image)
 /* The largest board of any size in the shrunk image, refined. */
 static td_status search_any_size(board *b, bool *found, const td_image *image, td_error *error)
 {
-    enum { MOST_SIDE = 100, LEAST_SIDE = 3 };
+    enum { MOST = 100, LEAST = 3 };
     *found = false;
-    TD_TRY(board_new(b, MOST_SIDE, MOST_SIDE, error));
+    if (image->width < LEAST_SIDE || image->height < LEAST_SIDE) return TD_OK;
+    TD_TRY(board_new(b, MOST, MOST, error));
     const int times = halvings(image);
     td_image *small = NULL;
     td_status status = times > 0 ? td_image_shrink(&small, image, times, error) : TD_OK;
-    b->columns = b->rows = LEAST_SIDE;
+    b->columns = b->rows = LEAST;
     if (status == TD_OK)
-        status = td_chessboard_by_sectors(b->start, MOST_SIDE * MOST_SIDE, found, &b->columns, &b->rows, true,
+        status = td_chessboard_by_sectors(b->start, MOST * MOST, found, &b->columns, &b->rows, true,
                                           small ? small : image, error);
     td_image_free(&small);
     if (status != TD_OK || !*found) return status;
@@ -410,42 +408,60 @@ static td_status transpose(board *b, td_error *error)
     return TD_OK;
 }
 
-/* Says in the detection's reason what is there instead of a whole board; takes a board of the wanted size
- * that only the search for any size finds into b. */
+static int difference(const board *b, int columns, int rows)
+{
+    return abs(b->columns - columns) + abs(b->rows - rows);
+}
+
+/* A board of any size, with columns and rows nearest to the wanted ones. */
+static td_status search_like(board *other, bool *found, const board *wanted, const td_image *image,
+                             td_error *error)
+{
+    TD_TRY(search_any_size(other, found, image, error));
+    if (*found &&
+        difference(wanted, other->rows, other->columns) < difference(wanted, other->columns, other->rows))
+        return transpose(other, error);
+    return TD_OK;
+}
+
+/* Says what is there instead of the wanted board. `other`: NULL, or the board that is; `part`: the wanted one
+ * was found, but goes on. */
+static void tell(td_detection *detection, const board *wanted, const board *other, bool part,
+                 const td_image *image)
+{
+    char *reason = detection->reason, remark[96];
+    const size_t size = sizeof detection->reason;
+    const int columns = wanted->columns, rows = wanted->rows;
+    int used = snprintf(reason, size, "looked for a chessboard of %dx%d inner corners, ", columns, rows);
+    reason += used;
+    const size_t left = size - (size_t)used;
+    if (!other)
+        snprintf(reason, left, "%s%s", part ? "but the board in the image has more" : "saw none",
+                 part ? "" : blur_remark(remark, image));
+    else if (other->columns == columns - 1 && other->rows == rows - 1)
+        snprintf(reason, left, "saw one of %dx%d: were squares counted instead of inner corners?",
+                 other->columns, other->rows);
+    else if (other->columns < columns || other->rows < rows)
+        snprintf(reason, left, "saw one of %dx%d: is it another board, or not wholly in view?",
+                 other->columns, other->rows);
+    else
+        snprintf(reason, left, "saw one of %dx%d: is it another board?", other->columns, other->rows);
+}
+
+/* Looks for a board of any size when the wanted one was not found, or seems to be a part. If that has the
+ * wanted size, it is taken; else the detection's reason tells of it. */
 static td_status look_again(td_detection *detection, board *b, bool *found, const td_image *image,
                             td_error *error)
 {
     board other = {0};
-    char remark[96], *reason = detection->reason;
-    const size_t size = sizeof detection->reason;
     const bool part = *found;
     bool any = false;
-    td_status status = search_any_size(&other, &any, image, error);
-    if (status == TD_OK && any &&
-        abs(other.columns - b->rows) + abs(other.rows - b->columns) <
-            abs(other.columns - b->columns) + abs(other.rows - b->rows))
-        status = transpose(&other, error);
-    *found = false;
-    if (status == TD_OK && any && other.columns == b->columns && other.rows == b->rows && !part) {
+    td_status status = search_like(&other, &any, b, image, error);
+    *found = status == TD_OK && any && difference(b, other.columns, other.rows) == 0;
+    if (*found)
         memcpy(b->start, other.start, 2 * (size_t)board_count(b) * sizeof *b->start);
-        *found = true;
-    } else if (status == TD_OK && any && board_count(&other) > board_count(b)) {
-        snprintf(reason, size, "looked for %dx%d inner corners, but the board in the image has %dx%d or more",
-                 b->columns, b->rows, other.columns, other.rows);
-    } else if (status == TD_OK && any) {
-        bool squares = other.columns == b->columns - 1 && other.rows == b->rows - 1;
-        snprintf(reason, size, "looked for %dx%d inner corners, but saw a board of %dx%d: %s", b->columns,
-                 b->rows, other.columns, other.rows,
-                 squares ? "were squares counted instead of inner corners?"
-                         : "is it another board, or not wholly in view?");
-    } else if (part) {
-        snprintf(reason, size,
-                 "looked for %dx%d inner corners, but the board in the image goes on beyond them", b->columns,
-                 b->rows);
-    } else {
-        snprintf(reason, size, "no chessboard of %dx%d inner corners seen%s", b->columns, b->rows,
-                 blur_remark(remark, image));
-    }
+    else if (status == TD_OK)
+        tell(detection, b, any ? &other : NULL, part, image);
     board_free(&other);
     return status;
 }
@@ -453,21 +469,21 @@ static td_status look_again(td_detection *detection, board *b, bool *found, cons
 static td_status detect(td_detection *detection, board *b, const td_image *image, td_error *error)
 {
     bool found = false;
-    char remark[96];
     TD_TRY(search(b, &found, image, error));
-    if (!found) TD_TRY(look_again(detection, b, &found, image, error));
-    if (!found) return TD_OK;
-    const int seen = refine(b, image);
-    if (!enough(b, seen)) {
-        blur_remark(remark, image);
-        snprintf(detection->reason, sizeof detection->reason,
-                 "a chessboard of %dx%d inner corners is there, but only %d of %d corners can be measured%s",
-                 b->columns, b->rows, seen, board_count(b),
-                 *remark ? remark : ": glare, shadow, noise or something before it");
-        return TD_OK;
+    int seen = found ? refine(b, image) : 0;
+    if (2 * seen < board_count(b)) found = false;
+    if (!found || (enough(b, seen) && goes_on(b, image))) {
+        TD_TRY(look_again(detection, b, &found, image, error));
+        if (!found) return TD_OK;
+        seen = refine(b, image);
     }
-    if (goes_on(b, image)) return look_again(detection, b, &found, image, error);
-    return fill(detection, b, seen, error);
+    if (enough(b, seen)) return fill(detection, b, seen, error);
+    char remark[96];
+    snprintf(detection->reason, sizeof detection->reason,
+             "a chessboard of %dx%d inner corners is there, but only %d of %d can be measured%s", b->columns,
+             b->rows, seen, board_count(b),
+             *blur_remark(remark, image) ? remark : ": noise, glare, shadow or something before it");
+    return TD_OK;
 }
 
 td_status td_chessboard_detect(td_detection *detection, const td_image *image, const td_target *target,

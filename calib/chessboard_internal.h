@@ -10,11 +10,10 @@
 extern "C" {
 #endif
 
-/* How the image is made black and white before quadrangles are looked for: against the mean of a block around
- * each pixel, or by the valley of the image's histogram. */
+/* How the image is made black and white before quadrangles are looked for. */
 typedef struct td_chessboard_threshold {
-    int block;     /* side of the block, odd, px; 0: by the histogram */
-    double offset; /* by which a pixel must lie above its block's mean, grey levels */
+    int block;     /* side of the block around a pixel, odd, 3 or more, px */
+    double offset; /* white: above the block's mean less this, grey levels */
     int smooth;    /* side of a Gaussian filter before, odd, px; 0: none */
 } td_chessboard_threshold;
 

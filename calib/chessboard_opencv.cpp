@@ -40,12 +40,11 @@ class SameRandomNumbers {
 void by_quadrangles(double *corner, bool *found, const td_image *image, cv::Size size,
                     const td_chessboard_threshold *threshold)
 {
-    cv::Mat grey = view(image), smooth = grey, binary = grey;
+    cv::Mat smooth = view(image), binary;
     if (threshold->smooth)
-        cv::GaussianBlur(grey, smooth = cv::Mat(), cv::Size(threshold->smooth, threshold->smooth), 0);
-    if (threshold->block)
-        cv::adaptiveThreshold(smooth, binary = cv::Mat(), 255, cv::ADAPTIVE_THRESH_MEAN_C, cv::THRESH_BINARY,
-                              threshold->block, threshold->offset);
+        cv::GaussianBlur(view(image), smooth = cv::Mat(), cv::Size(threshold->smooth, threshold->smooth), 0);
+    cv::adaptiveThreshold(smooth, binary, 255, cv::ADAPTIVE_THRESH_MEAN_C, cv::THRESH_BINARY,
+                          threshold->block, threshold->offset);
     std::vector<cv::Point2f> point;
     *found =
         cv::findChessboardCorners(binary, size, point, 0) && point.size() == static_cast<size_t>(size.area());

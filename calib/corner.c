@@ -30,12 +30,13 @@ enum {
     BLOCK_SIDE = 2 * (CORNER_MAX_RADIUS / BLOCK + 1) + 1
 };
 
-static const double FIRST_RADIUS = 6, USUAL_RADIUS = 10, LEAST_RADIUS = 3; /* px */
+static const double FIRST_RADIUS = 6, FIRST_SHARE = 0.2, MOST_FIRST_RADIUS = 12, USUAL_RADIUS = 10,
+                    LEAST_RADIUS = 3;   /* px */
 static const double SQUARE_SHARE = 0.6; /* of the distance to the next edge */
 static const double LEAST_BLUR = 0.29;  /* px: that of a pixel itself, 1 / sqrt 12 */
-static const double MOST_RESIDUAL = 0.2, MOST_TURN = 0.5, MOST_SIGMA = 0.5; /* of the contrast; sine; px */
-static const double LEAST_CONTRAST = 4;                                     /* grey levels */
-static const double FIRST_STEP = 0.1, LAST_STEP = 5e-3;                     /* at which a fit ends, px */
+static const double MOST_RESIDUAL = 0.25, MOST_TURN = 0.5, MOST_SIGMA = 0.5; /* of the contrast; sine; px */
+static const double LEAST_CONTRAST = 4;                                      /* grey levels */
+static const double FIRST_STEP = 0.1, LAST_STEP = 5e-3;                      /* at which a fit ends, px */
 
 /* exp(-y) for 0 <= y <= 16, as the 32nd power of a short series: no branch, no table, vector code. */
 static inline float bell(float y)
@@ -336,7 +337,7 @@ static bool settle(fit *f, corner_window *window, const td_image *image, const d
                    double next_edge)
 {
     double at[2] = {start[0], start[1]}, limit = fmin(SQUARE_SHARE * next_edge, CORNER_MAX_RADIUS);
-    double radius = FIRST_RADIUS;
+    double radius = fmin(fmax(FIRST_RADIUS, FIRST_SHARE * next_edge), MOST_FIRST_RADIUS);
     for (int pass = 0; pass < 5; pass++) {
         double border = fmin(fmin(at[0], image->width - 1 - at[0]), fmin(at[1], image->height - 1 - at[1]));
         radius = fmin(radius, fmin(limit, border));
