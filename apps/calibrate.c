@@ -68,7 +68,7 @@ static cli_command command = {
             "columns and rows count the points: a chessboard's inner corners, or marks (with diameter_m). Exit status: 0 "
             "done, 1 failed, 2 wrong usage, 3 the gate refuses the result (rig.yaml is then not written; --accept).",
     .examples = "  teledimos calibrate datasets/opencv-stereo -o out\n"
-                "  teledimos calibrate datasets/visp-marks -o out --json\n"
+                "  teledimos calibrate datasets/visp-marks -o marks --json\n"
                 "  teledimos calibrate datasets/opencv-stereo -o again --rig out/rig.yaml --fix left.intrinsics\n"
                 "  teledimos calibrate datasets/opencv-stereo -o strict --gate rms_px=0.3\n",
     .option = options,
@@ -193,7 +193,7 @@ static td_status print_result(const calibrate_job *job, const json_t *result, td
     if (common.json) {
         char *text = NULL;
         TD_TRY(td_document_to_json(&text, result, 15, error));
-        puts(text);
+        fputs(text, stdout);
         free(text);
     } else {
         calibrate_table(job);

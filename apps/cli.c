@@ -152,7 +152,7 @@ static int assign(const cli_command *c, const cli_option *o, const char *text)
     case CLI_REAL:
         if (!parse_number(&number, text) || (o->type == CLI_INT && number != floor(number)) || number < o->low ||
             number > o->high) {
-            cli_complain(c->name, "--%s: '%s' is not %s from %g to %g", o->name, text,
+            cli_complain(c->name, "--%s: '%s' is not %s from %.10g to %.10g", o->name, text,
                          o->type == CLI_INT ? "a whole number" : "a number", o->low, o->high);
             return EXIT_USAGE;
         }

@@ -185,7 +185,7 @@ static td_status write_result(const job *j, td_error *error)
     if (status == TD_OK) status = td_document_to_yaml(&yaml, result, 15, error);
     if (status == TD_OK) status = td_file_write(path, yaml, strlen(yaml), error);
     if (status == TD_OK && common.json) status = td_document_to_json(&text, result, 15, error);
-    if (status == TD_OK && text) puts(text);
+    if (status == TD_OK && text) fputs(text, stdout);
     if (status == TD_OK && !text)
         printf("%zu pairs rectified to %dx%d px, focal length %.2f px, baseline %.3f mm%s: %s\n", j->view_count,
                j->rectification.camera.width, j->rectification.camera.height, j->rectification.camera.parameter[0],

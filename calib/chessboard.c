@@ -21,6 +21,7 @@ typedef struct board {
     double *start;     /* (rows,columns,2) coarse positions, px */
     td_corner *corner; /* (rows,columns) */
     bool *seen;        /* (rows,columns) the corner could be refined */
+    bool part;         /* of a larger board */
 } board;
 
 static void board_free(board *b)
@@ -34,8 +35,12 @@ static void board_free(board *b)
 static td_status board_new(board *b, int columns, int rows, td_error *error)
 {
     size_t n = (size_t)columns * (size_t)rows;
-    *b = (board){columns, rows, malloc(2 * n * sizeof *b->start), calloc(n, sizeof *b->corner),
-                 calloc(n, sizeof *b->seen)};
+    *b = (board){columns,
+                 rows,
+                 malloc(2 * n * sizeof *b->start),
+                 calloc(n, sizeof *b->corner),
+                 calloc(n, sizeof *b->seen),
+                 false};
     if (b->start && b->corner && b->seen) return TD_OK;
     board_free(b);
     return td_fail(error, TD_ERROR_MEMORY, "no memory for a chessboard of %dx%d corners", columns, rows);
@@ -211,12 +216,9 @@ static int refine(board *b, const td_image *image)
     return seen;
 }
 
-/* Whether a corner lies one step beyond corner i of the board's edge; `inwards` leads from i to its
- * neighbour. */
-static bool goes_on_at(const board *b, const td_image *image, int i, int inwards)
+/* Whether a corner lies one step beyond corner i of the board's edge, in line with i, j and k. */
+static bool goes_on_at(const board *b, const td_image *image, int i, int j, int k)
 {
-    const int j = i + inwards, k = j + inwards;
-    if (!b->seen[i] || !b->seen[j] || !b->seen[k]) return false;
     double next[2], x[2], y[2];
     for (int c = 0; c < 2; c++)
         next[c] = 3 * b->corner[i].position[c] - 3 * b->corner[j].position[c] + b->corner[k].position[c];
@@ -227,12 +229,19 @@ static bool goes_on_at(const board *b, const td_image *image, int i, int inwards
            fabs(beyond.contrast) > 0.5 * fabs(edge->contrast) && beyond.residual < 2 * edge->residual;
 }
 
-/* At the middle of a side, and at one of its quarters. */
+/* At two places of the side whose corners are first, first + step, …, from its middle outwards; `inwards`
+ * leads to a corner's neighbour inside. */
 static bool side_goes_on(const board *b, const td_image *image, int first, int step, int count, int inwards)
 {
-    return goes_on_at(b, image, first + count / 2 * step, inwards) &&
-           (goes_on_at(b, image, first + count / 4 * step, inwards) ||
-            goes_on_at(b, image, first + 3 * count / 4 * step, inwards));
+    int hits = 0;
+    for (int n = 0; n <= count && hits < 2; n++) {
+        int at = count / 2 + (n % 2 ? (n + 1) / 2 : -n / 2);
+        int i = first + at * step, j = i + inwards, k = j + inwards;
+        if (at < 0 || at >= count || !b->seen[i] || !b->seen[j] || !b->seen[k]) continue;
+        if (!goes_on_at(b, image, i, j, k)) return false;
+        hits++;
+    }
+    return hits == 2;
 }
 
 /* A part of a larger board is no board: points would be numbered from wherever the part begins. */
@@ -392,6 +401,7 @@ static td_status search_any_size(board *b, bool *found, const td_image *image, t
     if (status != TD_OK || !*found) return status;
     enlarge(b, times);
     *found = enough(b, refine(b, image));
+    b->part = *found && goes_on(b, image);
     return TD_OK;
 }
 
@@ -403,6 +413,7 @@ static td_status transpose(board *b, td_error *error)
     for (int i = 0; i < board_count(b); i++)
         memcpy(t.start + 2 * (i % b->columns * t.columns + i / b->columns), b->start + 2 * i,
                2 * sizeof *t.start);
+    t.part = b->part;
     board_free(b);
     *b = t;
     return TD_OK;
@@ -424,28 +435,26 @@ static td_status search_like(board *other, bool *found, const board *wanted, con
     return TD_OK;
 }
 
-/* Says what is there instead of the wanted board. `other`: NULL, or the board that is; `part`: the wanted one
- * was found, but goes on. */
-static void tell(td_detection *detection, const board *wanted, const board *other, bool part,
-                 const td_image *image)
+/* Says what is there instead of the wanted board. `other`: NULL, or the board that is. */
+static void tell(td_detection *detection, const board *wanted, const board *other, const td_image *image)
 {
-    char *reason = detection->reason, remark[96];
-    const size_t size = sizeof detection->reason;
     const int columns = wanted->columns, rows = wanted->rows;
-    int used = snprintf(reason, size, "looked for a chessboard of %dx%d inner corners, ", columns, rows);
-    reason += used;
-    const size_t left = size - (size_t)used;
-    if (!other)
-        snprintf(reason, left, "%s%s", part ? "but the board in the image has more" : "saw none",
-                 part ? "" : blur_remark(remark, image));
+    char remark[96], saw[160];
+    if (!other && wanted->part)
+        snprintf(saw, sizeof saw, "but the board in the image has more");
+    else if (!other)
+        snprintf(saw, sizeof saw, "saw none%s", blur_remark(remark, image));
+    else if (other->part)
+        snprintf(saw, sizeof saw, "saw one of more than %dx%d: is it another board?", other->columns,
+                 other->rows);
     else if (other->columns == columns - 1 && other->rows == rows - 1)
-        snprintf(reason, left, "saw one of %dx%d: were squares counted instead of inner corners?",
-                 other->columns, other->rows);
-    else if (other->columns < columns || other->rows < rows)
-        snprintf(reason, left, "saw one of %dx%d: is it another board, or not wholly in view?",
+        snprintf(saw, sizeof saw, "saw one of %dx%d: were squares counted instead of inner corners?",
                  other->columns, other->rows);
     else
-        snprintf(reason, left, "saw one of %dx%d: is it another board?", other->columns, other->rows);
+        snprintf(saw, sizeof saw, "saw one of %dx%d: is it another board%s?", other->columns, other->rows,
+                 other->columns < columns || other->rows < rows ? ", or not wholly in view" : "");
+    snprintf(detection->reason, sizeof detection->reason,
+             "looked for a chessboard of %dx%d inner corners, %s", columns, rows, saw);
 }
 
 /* Looks for a board of any size when the wanted one was not found, or seems to be a part. If that has the
@@ -454,14 +463,13 @@ static td_status look_again(td_detection *detection, board *b, bool *found, cons
                             td_error *error)
 {
     board other = {0};
-    const bool part = *found;
     bool any = false;
     td_status status = search_like(&other, &any, b, image, error);
-    *found = status == TD_OK && any && difference(b, other.columns, other.rows) == 0;
+    *found = status == TD_OK && any && !other.part && difference(b, other.columns, other.rows) == 0;
     if (*found)
         memcpy(b->start, other.start, 2 * (size_t)board_count(b) * sizeof *b->start);
     else if (status == TD_OK)
-        tell(detection, b, any ? &other : NULL, part, image);
+        tell(detection, b, any ? &other : NULL, image);
     board_free(&other);
     return status;
 }
@@ -472,7 +480,8 @@ static td_status detect(td_detection *detection, board *b, const td_image *image
     TD_TRY(search(b, &found, image, error));
     int seen = found ? refine(b, image) : 0;
     if (2 * seen < board_count(b)) found = false;
-    if (!found || (enough(b, seen) && goes_on(b, image))) {
+    b->part = enough(b, seen) && goes_on(b, image);
+    if (!found || b->part) {
         TD_TRY(look_again(detection, b, &found, image, error));
         if (!found) return TD_OK;
         seen = refine(b, image);

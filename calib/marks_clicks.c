@@ -128,8 +128,7 @@ static td_status grow_from_clicks(td_lattice *l, bool *mirrored, const clicked *
         if ((*mirrored = is_mirrored(h, l)) || !fill(l, used, n, inverse)) break;
     }
     free(used);
-    td_lattice_discard(l, n->mark);
-    return TD_OK;
+    return td_lattice_discard(l, n->mark, error);
 }
 
 /* The number of the click without which the others agree, 0 when there is none. */

@@ -401,36 +401,39 @@ static bool start(problem *p, const td_blob *blob)
     return place_window(p, 4) && start_levels(p) && start_edge(p);
 }
 
-/* Marks the pixels that are far off the model, with their neighbours in the window: scale from the median
- * residual, but never below an eighth of the contrast, which allows for lens and sharpening that the model
- * does not know. */
-static void mark_outliers(problem *p)
+/* Marks the pixels that are far off the model, with their neighbours in the window. The scale comes from the
+ * third quartile of the residuals: with sharpening, which the model does not know, most of an edge is off,
+ * and that alone makes no outliers. True when the choice has changed. */
+static bool mark_outliers(problem *p)
 {
     enum { BINS = 1024 };
     unsigned bin[BINS] = {0}, seen = 0;
     td_mark_pixel *pixel = p->fit->pixel;
+    const td_window *w = &p->window;
     double contrast = fabs(p->p[INSIDE] - p->p[OUTSIDE]), per_level = BINS / (0.5 * contrast + 1);
     for (int i = 0; i < p->rows; i++) {
         double b = fabs(pixel[i].residual) * per_level;
         bin[b < BINS - 1 ? (int)b : BINS - 1]++;
-        pixel[i].outlier = false;
     }
-    int median = 0;
-    while (2 * (seen += bin[median]) < (unsigned)p->rows) median++;
-    double limit = fmax(5 * 1.4826 * (median + 0.5) / per_level, contrast / 8);
-    const td_window *w = &p->window;
-    for (int i = 0; i < p->rows; i++) {
-        if (fabs(pixel[i].residual) <= limit) continue;
+    int quartile = 0;
+    while (4 * (seen += bin[quartile]) < 3 * (unsigned)p->rows) quartile++;
+    double limit = 4.5 / 1.15 * (quartile + 0.5) / per_level + 1 + 0.02 * contrast;
+    bool changed = false, any = false;
+    for (int i = 0; i < p->rows && !any; i++) any = pixel[i].outlier || fabs(pixel[i].residual) > limit;
+    for (int i = 0; i < p->rows && any; i++) {
         int x = pixel[i].index % w->width, y = pixel[i].index / w->width;
-        for (int dy = -1; dy <= 1; dy++) {
-            for (int dx = -1; dx <= 1; dx++) {
-                if (x + dx < 0 || y + dy < 0 || x + dx >= w->width || y + dy >= w->height) continue;
-                int slot = w->slot[(y + dy) * w->width + x + dx];
-                if (slot >= 0) pixel[slot].outlier = true;
+        bool outlier = false;
+        for (int v = y > 0 ? y - 1 : 0; v <= y + 1 && v < w->height; v++) {
+            for (int u = x > 0 ? x - 1 : 0; u <= x + 1 && u < w->width; u++) {
+                int slot = w->slot[v * w->width + u];
+                outlier |= slot >= 0 && fabs(pixel[slot].residual) > limit;
             }
         }
+        changed |= outlier != pixel[i].outlier;
+        pixel[i].outlier = outlier;
     }
     sum_cost(p);
+    return changed;
 }
 
 /* Descends until the next step would move the centre by less than a fifth of its sigma and the edge by less
@@ -487,6 +490,8 @@ static bool fit_edge(problem *p, bool *memory)
         evaluate(p, true);
         double contrast = q[INSIDE] - q[OUTSIDE];
         if (p->cost > 0.09 * contrast * contrast * p->rows || !descend(p)) return false;
+        for (int k = 0; k < 4 && mark_outliers(p); k++)
+            if (p->used < PARAMETERS * 2 || !descend(p)) return false;
         if (edge_move(q, before) < 0.4) return true;
     }
     return false;
@@ -519,6 +524,7 @@ static bool report(td_mark *mark, const problem *p, const td_blob *blob)
         .blur = sqrt(q[TD_EDGE_BLUR] * q[TD_EDGE_BLUR] + 1.0 / 12), /* with the pixel's own */
         .inside = q[INSIDE],
         .outside = q[OUTSIDE],
+        .rms = sqrt(p->cost / p->used),
         .sigma = sqrt(0.5 * variance_of(p) * (inverse[0] + inverse[PARAMETERS + 1])),
         .centroid = {blob->centroid[0], blob->centroid[1]},
     };

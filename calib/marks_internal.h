@@ -119,7 +119,7 @@ td_status td_marks_lattices(td_lattices *lattices, const td_mark *mark, size_t c
 /* Counts the marks and takes empty outer rows and columns off the bounding box. */
 void td_lattice_trim(td_lattice *lattice);
 /* Takes off the lattice what does not lie on its plane. Distortion may bend the plane smoothly. */
-void td_lattice_discard(td_lattice *lattice, const td_mark *mark);
+td_status td_lattice_discard(td_lattice *lattice, const td_mark *mark, td_error *error);
 
 /* Homography from lattice coordinates to the image; false when the marks do not determine one. */
 bool td_lattice_homography(double image_from_lattice[9], const td_lattice *lattice, const td_mark *mark);

@@ -8,10 +8,17 @@
 
 enum { LINEAR = 3, QUADRATIC = 6 };
 
-/* How far a mark may lie from where its neighbours say, in lattice units, and the same for the logarithm of
- * its area. A quadratic leaves little of any lens; a plane fitted to few neighbours leaves more. A clutter
- * blob that by chance lies at a lattice point, or a mark half hidden, is farther off. */
-static const double OFF_QUADRATIC = 0.1, OFF_LINEAR = 0.25, OFF_AREA = 0.4;
+/* How far a mark may lie from where its neighbours say, in lattice units: six times the median of the
+ * lattice, which grows with distortion, but no less than LEAST_OFF and no more than MOST_OFF. A mark half
+ * hidden, or dirt at a lattice point, is farther off. A plane through few neighbours predicts less well than
+ * a quadratic. */
+static const double OFF_MEDIANS = 6, LEAST_OFF = 0.02, MOST_OFF = 0.1, LINEAR_FACTOR = 2.5;
+/* The same for the logarithm of the area, which is known less well when the blur is not small against the
+ * mark. */
+static const double OFF_AREA = 0.15, OFF_AREA_BLUR = 0.5;
+/* A mark fits worse than the others of its lattice when its residuals, as a share of its contrast, exceed the
+ * median by this factor and offset: dirt lies on it, or a shadow's edge. */
+static const double WORSE_FACTOR = 2, WORSE_OFFSET = 0.01;
 
 void td_mark_axes(double axes[2], const td_mark *mark)
 {
@@ -129,21 +136,52 @@ static bool fit_neighbours(double value[3], const td_lattice *lattice, const td_
     return true;
 }
 
-/* How far what is measured lies from what is predicted, as a share of what is allowed. */
-static double share_off(const td_lattice *lattice, const td_mark *mark, const double lattice_from_image[9],
-                        int column, int row)
+/* How far what is measured lies from what is predicted, lattice units; *area: share of what is allowed. */
+static double distance_off(double *area, const td_lattice *lattice, const td_mark *mark,
+                           const double lattice_from_image[9], int column, int row)
 {
-    double value[3], seen[3], allowed = OFF_QUADRATIC;
+    double value[3], seen[3], axes[2], factor = 1;
     const td_mark *m = &mark[lattice->mark[(size_t)row * lattice->columns + column]];
+    *area = 0;
     if (!fit_neighbours(value, lattice, mark, lattice_from_image, column, row, QUADRATIC)) {
-        allowed = OFF_LINEAR;
+        factor = LINEAR_FACTOR;
         if (!fit_neighbours(value, lattice, mark, lattice_from_image, column, row, LINEAR)) return 0;
     }
     measured(seen, m, lattice_from_image);
-    double axes[2];
     td_mark_axes(axes, m);
-    return fmax(hypot(seen[0] - value[0], seen[1] - value[1]) / allowed,
-                fabs(seen[2] - value[2]) / (OFF_AREA + 1 / axes[0]));
+    *area = fabs(seen[2] - value[2]) / (OFF_AREA + OFF_AREA_BLUR * m->blur / axes[0]);
+    return hypot(seen[0] - value[0], seen[1] - value[1]) / factor;
+}
+
+static int by_value(const void *a, const void *b)
+{
+    double d = *(const double *)a - *(const double *)b;
+    return (d > 0) - (d < 0);
+}
+
+/* `off` (rows,columns) = the share of what is allowed, 0 where no mark is; `room` of that size. Returns the
+ * sum of what is too much. */
+static double shares_off(double *off, double *room, const td_lattice *lattice, const td_mark *mark)
+{
+    double h[9], inverse[9], sum = 0;
+    size_t n = 0;
+    if (!td_lattice_homography(h, lattice, mark) || !td_homography_invert(inverse, h)) return 0;
+    for (int r = 0, i = 0; r < lattice->rows; r++) {
+        for (int c = 0; c < lattice->columns; c++, i++) {
+            off[i] = 0;
+            if (lattice->mark[i] < 0) continue;
+            double area;
+            off[i] = room[n++] = distance_off(&area, lattice, mark, inverse, c, r);
+            if (area > 1) off[i] = fmax(off[i], MOST_OFF * area);
+        }
+    }
+    qsort(room, n, sizeof *room, by_value);
+    double allowed = n ? fmin(fmax(OFF_MEDIANS * room[n / 2], LEAST_OFF), MOST_OFF) : 1;
+    for (int i = 0; i < lattice->rows * lattice->columns; i++) {
+        off[i] /= allowed;
+        sum += fmax(off[i] - 1, 0);
+    }
+    return sum;
 }
 
 bool td_lattice_predict(double value[3], const td_lattice *lattice, const td_mark *mark,
@@ -153,38 +191,51 @@ bool td_lattice_predict(double value[3], const td_lattice *lattice, const td_mar
            fit_neighbours(value, lattice, mark, lattice_from_image, column, row, LINEAR);
 }
 
-/* Sum of what is off by more than is allowed, over all marks. */
-static double total_off(const td_lattice *lattice, const td_mark *mark, const double lattice_from_image[9])
+static double misfit(const td_mark *mark)
 {
-    double sum = 0;
-    for (int r = 0, i = 0; r < lattice->rows; r++)
-        for (int c = 0; c < lattice->columns; c++, i++)
-            if (lattice->mark[i] >= 0) sum += fmax(share_off(lattice, mark, lattice_from_image, c, r) - 1, 0);
-    return sum;
+    return mark->rms / fabs(mark->inside - mark->outside);
 }
 
-void td_lattice_discard(td_lattice *lattice, const td_mark *mark)
+static void discard_misfits(td_lattice *lattice, const td_mark *mark, double *room)
 {
-    double h[9], inverse[9];
-    while (td_lattice_homography(h, lattice, mark) && td_homography_invert(inverse, h)) {
-        double now = total_off(lattice, mark, inverse), least = now;
-        if (!(now > 0)) break;
+    size_t n = 0;
+    int cells = lattice->columns * lattice->rows;
+    for (int i = 0; i < cells; i++)
+        if (lattice->mark[i] >= 0) room[n++] = misfit(&mark[lattice->mark[i]]);
+    qsort(room, n, sizeof *room, by_value);
+    for (int i = 0; i < cells; i++) {
+        if (lattice->mark[i] < 0 ||
+            misfit(&mark[lattice->mark[i]]) <= WORSE_FACTOR * room[n / 2] + WORSE_OFFSET)
+            continue;
+        lattice->mark[i] = -1;
+        lattice->count--;
+    }
+}
+
+td_status td_lattice_discard(td_lattice *lattice, const td_mark *mark, td_error *error)
+{
+    size_t cells = (size_t)lattice->columns * lattice->rows;
+    double *off = malloc((3 * cells + 1) * sizeof *off), *other = off + cells, *room = other + cells;
+    if (!off) return td_fail(error, TD_ERROR_MEMORY, "no memory for a grid of %zu marks", cells);
+    discard_misfits(lattice, mark, room);
+    while (shares_off(off, room, lattice, mark) > 0) {
         /* A wrong mark spoils its neighbours' predictions: the one without which the rest agrees best is it.
          */
         int culprit = -1;
+        double least = INFINITY;
         for (int i = 0; i < lattice->rows * lattice->columns; i++) {
             int m = lattice->mark[i];
-            if (m < 0 || share_off(lattice, mark, inverse, i % lattice->columns, i / lattice->columns) <= 1)
-                continue;
+            if (off[i] <= 1) continue;
             lattice->mark[i] = -1;
-            double without = total_off(lattice, mark, inverse);
+            double without = shares_off(other, room, lattice, mark);
             lattice->mark[i] = m;
-            if (culprit >= 0 && without >= least) continue;
+            if (without >= least) continue;
             least = without;
             culprit = i;
         }
-        if (culprit < 0) break;
         lattice->mark[culprit] = -1;
         lattice->count--;
     }
+    free(off);
+    return TD_OK;
 }

@@ -347,8 +347,12 @@ static td_status lattices_at(td_lattices *all, const td_numbering *n, double pit
         for (int k = 0; k < l->columns * l->rows; k++)
             for (size_t j = 0; j < points; j++)
                 if (l->mark[k] >= 0 && n->of_point[j] == l->mark[k]) l->mark[k] = -1;
-        td_lattice_discard(l, n->mark);
+        td_status status = td_lattice_discard(l, n->mark, error);
         td_lattice_trim(l);
+        if (status != TD_OK) {
+            td_lattices_free(all);
+            return status;
+        }
     }
     if (n->target->plane_count > 1 && !cut_lattices(all, n)) {
         td_lattices_free(all);

@@ -105,6 +105,21 @@ static bool unmirror(td_bundle *bundle, int camera)
     return changed;
 }
 
+/* Negative focal lengths with the scene turned by half about the axis give the same images: back to positive ones. */
+static void make_upright(td_bundle *bundle, int camera)
+{
+    td_camera *c = &bundle->rig->camera[camera].camera;
+    if (!(c->parameter[0] < 0 && c->parameter[1] < 0)) return;
+    for (int i = 0; i < 2; i++) c->parameter[i] = -c->parameter[i];
+    if (c->model == TD_CAMERA_BROWN5 || c->model == TD_CAMERA_BROWN8) {
+        c->parameter[6] = -c->parameter[6]; /* p1, p2: the only terms that are even */
+        c->parameter[7] = -c->parameter[7];
+    }
+    const td_pose half_turn = {{0, 0, 0, 1}, {0, 0, 0}};
+    for (size_t i = 0; i < bundle->pose_count; i++)
+        bundle->rig_from_target[i] = td_pose_compose(&half_turn, &bundle->rig_from_target[i]);
+}
+
 /* Plain least squares, then a robust pass where the residuals' tail asks for it. */
 static td_status mono_refine(mono *m, int camera, const td_calibrate_options *options, td_error *error)
 {
@@ -113,6 +128,7 @@ static td_status mono_refine(mono *m, int camera, const td_calibrate_options *op
     solve.function_tolerance = 1e-7;
     solve.max_iterations = 50;
     TD_TRY(td_bundle_solve(&m->bundle, NULL, NULL, &solve, error));
+    make_upright(&m->bundle, camera);
     for (int round = 0; round < 3 && unmirror(&m->bundle, camera); round++)
         TD_TRY(td_bundle_solve(&m->bundle, NULL, NULL, &solve, error));
     size_t points;
@@ -181,6 +197,9 @@ static td_status run_monos(mono *monos, const td_bundle *bundle, const td_calibr
 }
 
 /* ---- turns of the board ---- */
+
+/* px by which a turned labelling must explain a view better than the given one, besides halving the disagreement. */
+#define CLEARLY 1.0
 
 /* How many turns map the grid onto itself: 4, 2, or 1 when there are several planes. */
 static int turn_count(const td_target *target)
@@ -290,7 +309,7 @@ static double view_disagreement(int *turn, const pair *p, size_t v, const td_pos
         td_pose motion = turn_motion(p->target, k), back = td_pose_inverse(&motion);
         td_pose turned = td_pose_compose(pose_in(p, p->camera, v), &back);
         double d = disagreement(c, p->target, &expected, &turned);
-        if (d < best * (k ? 0.5 : 1)) { /* as it was labelled, unless a turn is much better */
+        if (d < (k ? best / 2 - CLEARLY : best)) { /* as it was labelled, unless a turn is much better */
             best = d;
             *turn = k;
         }
@@ -312,7 +331,7 @@ static double consensus(td_pose *camera_from_base, const pair *p, double *scratc
                 scratch[k] = view_disagreement(&unused, p, p->view[k], &candidate);
             qsort(scratch, p->count, sizeof *scratch, compare_doubles);
             double median = scratch[(p->count - 1) / 2] + 1e-3 * scratch[p->count / 2];
-            if (median < best * (turn ? 0.9 : 1)) {
+            if (median < (turn ? best / 2 - CLEARLY : best)) {
                 best = median;
                 *camera_from_base = candidate;
             }

@@ -94,11 +94,15 @@ def prepare():
     """The clean results, and the points they rest on."""
     with tempfile.TemporaryDirectory() as folder:
         clean["images"] = calibrate(OPENCV_SET, out=os.path.join(folder, "images"))
+        if not clean["images"]:
+            finish()
         clean["points"] = read_points(os.path.join(folder, "images/points.csv"))
         clean["result"] = calibrate(points_set(folder, clean["points"]), out=os.path.join(folder, "out"))
+        if not clean["result"]:
+            finish()
         with open(os.path.join(folder, "out/rig.yaml")) as file:
             clean["rig"] = file.read()
-    check(clean["images"] and clean["result"] and clean["result"]["verdict"] != "refused", "the clean dataset is calibrated")
+    check(clean["result"]["verdict"] != "refused", "the clean dataset is calibrated")
 
 
 # ---- views and points that do not belong ----
