@@ -18,11 +18,18 @@ void cli_complain(const char *command, const char *format, ...)
     fputc('\n', stderr);
 }
 
-/* Prints `text` in lines of at most `width` columns, all but the first indented. */
+/* Prints `text` in lines of at most `width` columns, all but the first indented; lines that begin with a blank are kept
+ * as they are. */
 static void print_wrapped(const char *text, int indent, int width)
 {
     int column = indent;
+    bool line_start = true;
     while (*text) {
+        if (line_start && *text == ' ') {
+            size_t line = strcspn(text, "\n");
+            fwrite(text, 1, line, stdout);
+            text += line;
+        }
         size_t word = strcspn(text, " \n");
         if (column > indent && column + 1 + (int)word > width) {
             printf("\n%*s", indent, "");
@@ -34,6 +41,7 @@ static void print_wrapped(const char *text, int indent, int width)
         fwrite(text, 1, word, stdout);
         column += (int)word;
         text += word;
+        line_start = *text == '\n';
         if (*text == '\n') {
             printf("\n%*s", text[1] ? indent : 0, "");
             column = indent;
