@@ -13,7 +13,7 @@
 static const double COARSE_PIXELS = 1.2e6; /* an image is halved until it has fewer */
 static const double UNSEEN_SHARE = 0.2;    /* of the corners, at most, in a board that counts as found */
 static const double BLURRED = 3;           /* px, standard deviation of the edges */
-enum { LEAST_SIDE = 30 };                  /* px, of an image in which a board is looked for */
+enum { LEAST_SIDE = 60 };                  /* px, of an image in which a board is looked for */
 
 /* A board in the image, in any order. */
 typedef struct board {
@@ -65,27 +65,20 @@ static double spread_of(const td_image *image)
     return sqrt(fmax((double)square / (double)n - mean * mean, 0));
 }
 
-/* By quadrangles: the first threshold suits most images, the second small squares and noise, the third dark
- * corners. */
-static td_status search_quadrangles(board *b, bool *found, const td_image *image, td_error *error)
-{
-    const int side = image->width < image->height ? image->width : image->height;
-    const double spread = spread_of(image);
-    const td_chessboard_threshold threshold[] = {{(side / 10) | 1, 0.14 * spread, 0},
-                                                 {(side / 20) | 1, 0.14 * spread, 3},
-                                                 {(side / 7) | 1, 0.03 * spread, 5}};
-    *found = false;
-    for (int i = 0; i < 3 && !*found; i++)
-        TD_TRY(
-            td_chessboard_by_quadrangles(b->start, found, image, b->columns, b->rows, &threshold[i], error));
-    return TD_OK;
-}
-
+/* By quadrangles, then by sectors if `thorough`. The first threshold suits most images, the second small
+ * squares and noise, the third dark corners. */
 static td_status search_once(board *b, bool *found, const td_image *image, bool thorough, td_error *error)
 {
-    TD_TRY(search_quadrangles(b, found, image, error));
-    if (*found || !thorough) return TD_OK;
+    const int side = image->width < image->height ? image->width : image->height, tries = thorough ? 3 : 2;
+    const double spread = spread_of(image);
+    const td_chessboard_threshold threshold[3] = {{(side / 10) | 1, 0.14 * spread, 0},
+                                                  {(side / 20) | 1, 0.14 * spread, 3},
+                                                  {(side / 7) | 1, 0.03 * spread, 5}};
     int columns = b->columns, rows = b->rows;
+    *found = false;
+    for (int i = 0; i < tries && !*found; i++)
+        TD_TRY(td_chessboard_by_quadrangles(b->start, found, image, columns, rows, &threshold[i], error));
+    if (*found || !thorough) return TD_OK;
     return td_chessboard_by_sectors(b->start, (size_t)board_count(b), found, &columns, &rows, false, image,
                                     error);
 }
@@ -435,41 +428,51 @@ static td_status search_like(board *other, bool *found, const board *wanted, con
     return TD_OK;
 }
 
-/* Says what is there instead of the wanted board. `other`: NULL, or the board that is. */
-static void tell(td_detection *detection, const board *wanted, const board *other, const td_image *image)
+/* Says what is there instead of the wanted board, of which `seen` corners could be measured. `other`: NULL,
+ * or the largest board. */
+static void tell(td_detection *detection, const board *wanted, int seen, const board *other,
+                 const td_image *image)
 {
-    const int columns = wanted->columns, rows = wanted->rows;
+    const int columns = wanted->columns, rows = wanted->rows, count = board_count(wanted);
+    const bool there = 2 * seen >= count && !(other && board_count(other) > count);
     char remark[96], saw[160];
-    if (!other && wanted->part)
-        snprintf(saw, sizeof saw, "but the board in the image has more");
+    if (wanted->part && !other)
+        snprintf(saw, sizeof saw, "but the one in the image has more");
+    else if (there && !wanted->part)
+        snprintf(saw, sizeof saw, "saw it, but only %d of %d can be measured%s", seen, count,
+                 *blur_remark(remark, image) ? remark : ": noise, glare, shadow or something before it");
     else if (!other)
         snprintf(saw, sizeof saw, "saw none%s", blur_remark(remark, image));
     else if (other->part)
-        snprintf(saw, sizeof saw, "saw one of more than %dx%d: is it another board?", other->columns,
-                 other->rows);
+        snprintf(saw, sizeof saw, "one of more than %dx%d seems to be in the image: is it another board?",
+                 other->columns, other->rows);
     else if (other->columns == columns - 1 && other->rows == rows - 1)
-        snprintf(saw, sizeof saw, "saw one of %dx%d: were squares counted instead of inner corners?",
+        snprintf(saw, sizeof saw,
+                 "one of %dx%d seems to be in the image: were squares counted instead of corners?",
                  other->columns, other->rows);
     else
-        snprintf(saw, sizeof saw, "saw one of %dx%d: is it another board%s?", other->columns, other->rows,
+        snprintf(saw, sizeof saw, "one of %dx%d seems to be in the image: is it another board%s?",
+                 other->columns, other->rows,
                  other->columns < columns || other->rows < rows ? ", or not wholly in view" : "");
     snprintf(detection->reason, sizeof detection->reason,
              "looked for a chessboard of %dx%d inner corners, %s", columns, rows, saw);
 }
 
-/* Looks for a board of any size when the wanted one was not found, or seems to be a part. If that has the
- * wanted size, it is taken; else the detection's reason tells of it. */
-static td_status look_again(td_detection *detection, board *b, bool *found, const td_image *image,
+/* Looks for a board of any size when of the wanted one too few corners can be measured, or it is a part of a
+ * larger one. A board of the wanted size is taken; of another the detection's reason tells. */
+static td_status look_again(td_detection *detection, board *b, int *seen, const td_image *image,
                             td_error *error)
 {
     board other = {0};
     bool any = false;
     td_status status = search_like(&other, &any, b, image, error);
-    *found = status == TD_OK && any && !other.part && difference(b, other.columns, other.rows) == 0;
-    if (*found)
+    if (status == TD_OK && any && !other.part && difference(b, other.columns, other.rows) == 0) {
         memcpy(b->start, other.start, 2 * (size_t)board_count(b) * sizeof *b->start);
-    else if (status == TD_OK)
-        tell(detection, b, any ? &other : NULL, image);
+        b->part = false;
+        *seen = refine(b, image);
+    }
+    if (status == TD_OK && (b->part || !enough(b, *seen)))
+        tell(detection, b, *seen, any ? &other : NULL, image);
     board_free(&other);
     return status;
 }
@@ -479,20 +482,9 @@ static td_status detect(td_detection *detection, board *b, const td_image *image
     bool found = false;
     TD_TRY(search(b, &found, image, error));
     int seen = found ? refine(b, image) : 0;
-    if (2 * seen < board_count(b)) found = false;
     b->part = enough(b, seen) && goes_on(b, image);
-    if (!found || b->part) {
-        TD_TRY(look_again(detection, b, &found, image, error));
-        if (!found) return TD_OK;
-        seen = refine(b, image);
-    }
-    if (enough(b, seen)) return fill(detection, b, seen, error);
-    char remark[96];
-    snprintf(detection->reason, sizeof detection->reason,
-             "a chessboard of %dx%d inner corners is there, but only %d of %d can be measured%s", b->columns,
-             b->rows, seen, board_count(b),
-             *blur_remark(remark, image) ? remark : ": noise, glare, shadow or something before it");
-    return TD_OK;
+    if (b->part || !enough(b, seen)) TD_TRY(look_again(detection, b, &seen, image, error));
+    return b->part || !enough(b, seen) ? TD_OK : fill(detection, b, seen, error);
 }
 
 td_status td_chessboard_detect(td_detection *detection, const td_image *image, const td_target *target,

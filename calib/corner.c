@@ -34,7 +34,7 @@ static const double FIRST_RADIUS = 6, FIRST_SHARE = 0.2, MOST_FIRST_RADIUS = 12,
                     LEAST_RADIUS = 3;   /* px */
 static const double SQUARE_SHARE = 0.6; /* of the distance to the next edge */
 static const double LEAST_BLUR = 0.29;  /* px: that of a pixel itself, 1 / sqrt 12 */
-static const double MOST_RESIDUAL = 0.25, MOST_TURN = 0.5, MOST_SIGMA = 0.5; /* of the contrast; sine; px */
+static const double MOST_RESIDUAL = 0.25, MOST_TURN = 0.3, MOST_SIGMA = 0.5; /* of the contrast; sine; px */
 static const double LEAST_CONTRAST = 4;                                      /* grey levels */
 static const double FIRST_STEP = 0.1, LAST_STEP = 5e-3;                      /* at which a fit ends, px */
 

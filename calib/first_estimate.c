@@ -67,15 +67,17 @@ static td_status seen_gather(seen_points *s, const td_observations *o, int camer
 
 /* ---- lenses ---- */
 
-/* The distortion must be near before focal lengths and poses mean much: with k1 = -0.3 left out the focal length is
- * off by 15 % and up to half. So a few lenses straighten the pixels first, and the one that explains them best stays. */
+/* The distortion must be near before focal lengths and poses mean much: with k1 = -0.3 left out the focal
+ * length is off by 15 % and up to half. So a few lenses straighten the pixels first, and the one that
+ * explains them best stays. */
 typedef struct lens {
     double focal, k1; /* in image widths; first radial coefficient */
 } lens;
 
 static size_t lenses_of(const lens **list, td_camera_model model)
 {
-    static const lens brown[] = {{1, 0}, {1, -0.15}, {1, -0.3}, {1, -0.45}, {1, -0.6}, {1, 0.15}};
+    static const lens brown[] = {{1, 0},     {1, -0.075}, {1, -0.15}, {1, -0.225}, {1, -0.3}, {1, -0.375},
+                                 {1, -0.45}, {1, -0.525}, {1, -0.6},  {1, 0.075},  {1, 0.15}};
     static const lens fisheye[] = {{1, 0}, {0.7, 0}, {0.5, 0}, {0.35, 0}, {0.25, 0}};
     *list = model == TD_CAMERA_FISHEYE ? fisheye : brown;
     if (model == TD_CAMERA_PINHOLE) return 1;
@@ -92,8 +94,8 @@ static td_camera camera_of_lens(const td_camera *like, const lens *l)
     return camera;
 }
 
-/* The camera with the intrinsics k (fx fy cx cy) that were found in the normalised coordinates of `lens`. Brown's curve
- * r (1 + k1 r^2) stays the same pixels when k1 goes with the square of the focal length. */
+/* The camera with the intrinsics k (fx fy cx cy) that were found in the normalised coordinates of `lens`.
+ * Brown's curve r (1 + k1 r^2) stays the same pixels when k1 goes with the square of the focal length. */
 static td_camera camera_through_lens(const td_camera *through, const double k[4])
 {
     td_camera camera = *through;
@@ -101,7 +103,8 @@ static td_camera camera_through_lens(const td_camera *through, const double k[4]
         camera.parameter[i] = through->parameter[i] * k[i];
         camera.parameter[2 + i] = through->parameter[2 + i] + through->parameter[i] * k[2 + i];
     }
-    if (camera.model == TD_CAMERA_BROWN5 || camera.model == TD_CAMERA_BROWN8) camera.parameter[4] *= k[0] * k[1];
+    if (camera.model == TD_CAMERA_BROWN5 || camera.model == TD_CAMERA_BROWN8)
+        camera.parameter[4] *= k[0] * k[1];
     return camera;
 }
 
@@ -157,7 +160,8 @@ static double quantile(double *x, size_t n, double share)
 }
 
 /* Reprojection errors (px) of the points of view `v`; returns their number. */
-static size_t view_errors(double *out, const seen_points *s, size_t v, const td_camera *camera, const td_pose *pose)
+static size_t view_errors(double *out, const seen_points *s, size_t v, const td_camera *camera,
+                          const td_pose *pose)
 {
     const double lost = 1e9; /* worse than any */
     for (size_t i = s->first[v]; i < s->first[v + 1]; i++) {
@@ -174,8 +178,8 @@ static bool on_rail(const td_observations *o, size_t v)
     return !isnan(o->height_m[v]);
 }
 
-/* Views on a rail are one rigid target: of their poses, and of `rail` (may be NULL), the one that explains most serves
- * all. work: room for an error per point. */
+/* Views on a rail are one rigid target: of their poses, and of `rail` (may be NULL), the one that explains
+ * most serves all. work: room for an error per point. */
 static void share_rail_pose(td_pose *pose, const bool *has_pose, const td_pose *rail, const seen_points *s,
                             const td_observations *o, const td_camera *camera, double *work)
 {
@@ -197,8 +201,18 @@ static void share_rail_pose(td_pose *pose, const bool *has_pose, const td_pose *
         if (has_pose[v] && on_rail(o, v)) pose[v] = best;
 }
 
-/* Poses of all views for a known camera. Returns what it costs: the median over the points of the reprojection error
- * (px); on a target with depth, of which a homography explains one plane whatever the camera, a higher quantile. */
+/* The error (px) by which poses are judged: the median; but a higher quantile on a target with depth, of
+ * which a homography explains one plane whatever the camera, and on a rail, whose views can outvote the free
+ * ones. */
+static double judge(double *errors, size_t n, const td_observations *o)
+{
+    bool higher = !td_target_is_flat(&o->target);
+    for (size_t v = 0; v < o->view_count; v++) higher = higher || on_rail(o, v);
+    return quantile(errors, n, higher ? 0.7 : 0.5);
+}
+
+/* Poses of all views for a known camera. Returns what it costs: the error (px) by which all points are
+ * judged. */
 static double poses_by_homography(td_pose *pose, bool *has_pose, const td_pose *rail, const seen_points *s,
                                   const td_observations *o, const td_camera *camera, double *work)
 {
@@ -215,8 +229,9 @@ static double poses_by_homography(td_pose *pose, bool *has_pose, const td_pose *
         pose[v] = td_pose_compose(&camera_from_plane, &plane_from_target);
     }
     share_rail_pose(pose, has_pose, rail, s, o, camera, work);
-    for (size_t v = 0; v < s->view_count; v++) n += view_errors(work + n, s, v, camera, has_pose[v] ? &pose[v] : NULL);
-    return quantile(work, n, td_target_is_flat(&o->target) ? 0.5 : 0.7);
+    for (size_t v = 0; v < s->view_count; v++)
+        n += view_errors(work + n, s, v, camera, has_pose[v] ? &pose[v] : NULL);
+    return judge(work, n, o);
 }
 
 /* ---- cameras ---- */
@@ -248,6 +263,17 @@ static void try_camera(search *f, const td_camera *camera, const td_pose *rail)
     if (rail) f->rail = *rail;
 }
 
+/* With the intrinsics k that were found through a lens: as they are, and with the lens's centre, which one
+ * view alone hardly tells. */
+static void try_intrinsics(search *f, const td_camera *through, const double k[4], const td_pose *rail)
+{
+    const double centred[4] = {k[0], k[1], 0, 0};
+    td_camera camera = camera_through_lens(through, k);
+    try_camera(f, &camera, rail);
+    camera = camera_through_lens(through, centred);
+    try_camera(f, &camera, NULL);
+}
+
 /* Median, apart, of each of the four intrinsics in k (n,4). */
 static void median_intrinsics(double median[4], const double *k, size_t n, double *work)
 {
@@ -257,8 +283,9 @@ static void median_intrinsics(double median[4], const double *k, size_t n, doubl
     }
 }
 
-/* Focal lengths from all views together, and as the median of each view's own (one wrong view must not spoil them). h:
- * room for (views,9), k for (views,4). Of a fisheye the straightened pixels depend on the focal length: again with it. */
+/* Focal lengths from all views together, and as the median of each view's own (one wrong view must not spoil
+ * them). h: room for (views,9), k for (views,4). Of a fisheye the straightened pixels depend on the focal
+ * length: again with it. */
 static void try_lens_by_homography(search *f, const td_camera *start, double *h, double *k)
 {
     const double centre[2] = {0, 0};
@@ -304,7 +331,8 @@ static td_status camera_by_homography(search *f, td_error *error)
         try_camera(f, &camera, NULL);
     }
     if (!isfinite(f->cost))
-        return td_fail(error, TD_ERROR_DATA, "no view shows enough of the target (4 points) for a first estimate");
+        return td_fail(error, TD_ERROR_DATA,
+                       "no view shows enough of the target (4 points) for a first estimate");
     return TD_OK;
 }
 
@@ -322,20 +350,22 @@ static td_status faugeras_toscani_of(double k[4], td_pose *pose, const seen_poin
     return td_faugeras_toscani(NULL, k, NULL, pose, point, xy, n, error);
 }
 
-/* All views of known heights as one target with depth; with `without` below the number of views, but for that one. */
-static td_status try_rail(search *f, const td_camera *through, size_t without, bool *take, double *room, td_error *error)
+/* All views of known heights as one target with depth; with `without` below the number of views, but for that
+ * one. */
+static td_status try_rail(search *f, const td_camera *through, size_t without, bool *take, double *room,
+                          td_error *error)
 {
     double k[4];
     td_pose pose;
     for (size_t v = 0; v < f->s->view_count; v++) take[v] = on_rail(f->o, v) && v != without;
     TD_TRY(faugeras_toscani_of(k, &pose, f->s, take, through, room, error));
-    td_camera camera = camera_through_lens(through, k);
-    try_camera(f, &camera, &pose);
+    try_intrinsics(f, through, k, &pose);
     return TD_OK;
 }
 
 /* Each view of a target with depth by itself, and the median of what they say. */
-static td_status try_free_views(search *f, const td_camera *through, bool *take, double *room, td_error *error)
+static td_status try_free_views(search *f, const td_camera *through, bool *take, double *room,
+                                td_error *error)
 {
     size_t n = 0, views = f->s->view_count;
     double *k = room + 5 * f->s->first[views], median[4];
@@ -344,7 +374,8 @@ static td_status try_free_views(search *f, const td_camera *through, bool *take,
     for (size_t v = 0; v < views; v++) {
         take[v] = true;
         if (f->s->first[v + 1] > f->s->first[v]) {
-            td_status own = faugeras_toscani_of(k + 4 * n, NULL, f->s, take, through, room, status ? NULL : error);
+            td_status own =
+                faugeras_toscani_of(k + 4 * n, NULL, f->s, take, through, room, status ? NULL : error);
             if (own == TD_OK) n++;
             if (status == TD_OK) status = own;
         }
@@ -352,8 +383,7 @@ static td_status try_free_views(search *f, const td_camera *through, bool *take,
     }
     if (!n) return status;
     median_intrinsics(median, k, n, f->work);
-    td_camera camera = camera_through_lens(through, median);
-    try_camera(f, &camera, NULL);
+    try_intrinsics(f, through, median, NULL);
     return TD_OK;
 }
 
@@ -370,14 +400,16 @@ static td_status camera_by_faugeras_toscani(search *f, bool rail, td_error *erro
         status = td_fail(error, TD_ERROR_MEMORY, "no memory for %zu points", total);
         lenses = 0;
     } else if (!total || (!rail && td_target_is_flat(&f->o->target))) {
-        status = td_fail(error, TD_ERROR_DATA,
-                         "Faugeras-Toscani needs a target with depth: planes in dataset.yaml, or height_m in frames.csv");
+        status = td_fail(
+            error, TD_ERROR_DATA,
+            "Faugeras-Toscani needs a target with depth: planes in dataset.yaml, or height_m in frames.csv");
         lenses = 0;
     }
     for (size_t i = 0; i < lenses; i++) {
         td_camera through = camera_of_lens(&like, &list[i]);
         td_error *first = i ? NULL : error;
-        td_status own = rail ? try_rail(f, &through, views, take, room, first) : try_free_views(f, &through, take, room, first);
+        td_status own = rail ? try_rail(f, &through, views, take, room, first)
+                             : try_free_views(f, &through, take, room, first);
         if (!i) status = own;
     }
     /* A wrong view on the rail shows when it is left out. */
@@ -387,11 +419,14 @@ static td_status camera_by_faugeras_toscani(search *f, bool rail, td_error *erro
     free(take);
     free(room);
     if (isfinite(f->cost)) return TD_OK;
-    return status != TD_OK ? status : td_fail(error, TD_ERROR_DATA, "Faugeras-Toscani: the points agree with no camera");
+    return status != TD_OK
+               ? status
+               : td_fail(error, TD_ERROR_DATA, "Faugeras-Toscani: the points agree with no camera");
 }
 
-/* What ViSP is given: rigid targets, which are the free views and, as one, those on the rail. ViSP knows no distortion, so
- * the pixels are straightened; and no outliers, so views that fit far worse than the others are left out. */
+/* What ViSP is given: rigid targets, which are the free views and, as one, those on the rail. ViSP knows no
+ * distortion, so the pixels are straightened; and no outliers, so views that fit far worse than the others
+ * are left out. */
 typedef struct visp_input {
     size_t count, *first, *points, *target_of; /* targets; (targets); (targets); (views), SIZE_MAX: none */
     double *point, *pixel, *matrix;            /* (points,3), (points,2), (targets,16) */
@@ -421,18 +456,20 @@ static td_status visp_allocate(visp_input *in, size_t views, size_t points, td_e
 }
 
 /* Appends the view's points to the target that is last. */
-static void visp_add(visp_input *in, const seen_points *s, size_t v, const td_camera *camera)
+static void visp_add(visp_input *in, const search *f, size_t v)
 {
+    const double *k = f->best.parameter;
     size_t target = in->count - 1;
-    for (size_t i = s->first[v]; i < s->first[v + 1]; i++) {
+    for (size_t i = f->s->first[v]; i < f->s->first[v + 1]; i++) {
         size_t n = in->first[target] + in->points[target];
         double xy[2];
-        if (!to_normalised(xy, s->pixel + 2 * i, camera)) continue;
-        memcpy(in->point + 3 * n, s->point + 3 * i, 3 * sizeof(double));
-        for (int k = 0; k < 2; k++) in->pixel[2 * n + k] = camera->parameter[k] * xy[k] + camera->parameter[2 + k];
+        if (!to_normalised(xy, f->s->pixel + 2 * i, &f->best)) continue;
+        memcpy(in->point + 3 * n, f->s->point + 3 * i, 3 * sizeof(double));
+        for (int j = 0; j < 2; j++) in->pixel[2 * n + j] = k[j] * xy[j] + k[2 + j];
         in->points[target]++;
     }
     in->target_of[v] = target;
+    td_pose_matrix(in->matrix + 16 * target, &f->pose[v]);
 }
 
 static void visp_new_target(visp_input *in)
@@ -441,24 +478,27 @@ static void visp_new_target(visp_input *in)
     in->points[in->count++] = 0;
 }
 
+static double view_error(const search *f, size_t v)
+{
+    return judge(f->work, view_errors(f->work, f->s, v, &f->best, &f->pose[v]), f->o);
+}
+
 static void visp_gather(visp_input *in, const search *f)
 {
     size_t views = f->s->view_count, n = 0;
     double *error = f->work + f->s->first[views], usual;
     for (size_t v = 0; v < views; v++)
-        if (f->has_pose[v])
-            error[n++] = quantile(f->work, view_errors(f->work, f->s, v, &f->best, &f->pose[v]), 0.5);
+        if (f->has_pose[v]) error[n++] = view_error(f, v);
     usual = quantile(error, n, 0.5);
     for (int rail = 1; rail >= 0; rail--) {
         bool begun = false;
         for (size_t v = 0; v < views; v++) {
             if (on_rail(f->o, v) != rail) continue;
             in->target_of[v] = SIZE_MAX;
-            if (!f->has_pose[v]) continue;
-            if (quantile(f->work, view_errors(f->work, f->s, v, &f->best, &f->pose[v]), 0.5) > 5 * usual + 1) continue;
+            if (!f->has_pose[v] || view_error(f, v) > 5 * usual + 1) continue;
             if (!rail || !begun) visp_new_target(in);
             begun = true;
-            visp_add(in, f->s, v, &f->best);
+            visp_add(in, f, v);
         }
     }
 }
@@ -467,8 +507,8 @@ static td_status camera_by_visp(search *f, bool keep_camera, td_error *error)
 {
     void *module = dlopen(TD_VISP_MODULE, RTLD_NOW | RTLD_LOCAL);
     if (!module)
-        return td_fail(error, TD_ERROR_UNSUPPORTED, "the ViSP module cannot be loaded (%s); use another --method",
-                       dlerror());
+        return td_fail(error, TD_ERROR_UNSUPPORTED,
+                       "the ViSP module cannot be loaded (%s); use another --method", dlerror());
     td_visp_estimate_function *estimate;
     *(void **)&estimate = dlsym(module, TD_VISP_FUNCTION);
     visp_input in;
@@ -480,20 +520,24 @@ static td_status camera_by_visp(search *f, bool keep_camera, td_error *error)
         return status;
     }
     visp_gather(&in, f);
-    status = estimate ? estimate(k, in.matrix, in.point, in.pixel, in.first, in.points, in.count, keep_camera, error)
-                      : td_fail(error, TD_ERROR_UNSUPPORTED, "%s has no %s", TD_VISP_MODULE, TD_VISP_FUNCTION);
+    status =
+        estimate
+            ? estimate(k, in.matrix, in.point, in.pixel, in.first, in.points, in.count, keep_camera, error)
+            : td_fail(error, TD_ERROR_UNSUPPORTED, "%s has no %s", TD_VISP_MODULE, TD_VISP_FUNCTION);
     td_camera camera = f->best;
     if (status == TD_OK && !keep_camera) {
         const double *p = f->best.parameter;
         const double seen[4] = {k[0] / p[0], k[1] / p[1], (k[2] - p[2]) / p[0], (k[3] - p[3]) / p[1]};
         camera = camera_through_lens(&f->best, seen);
         if (td_camera_check(&camera, NULL) != TD_OK)
-            status = td_fail(error, TD_ERROR_CONVERGENCE, "ViSP finds no camera for these views; use another --method");
+            status = td_fail(error, TD_ERROR_CONVERGENCE,
+                             "ViSP finds no camera for these views; use another --method");
     }
     for (size_t v = 0; v < f->s->view_count && status == TD_OK; v++) {
         if (!f->has_pose[v] || in.target_of[v] == SIZE_MAX) continue;
         const double *m = in.matrix + 16 * in.target_of[v];
-        const double r[9] = {m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]}, t[3] = {m[3], m[7], m[11]};
+        const double r[9] = {m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]},
+                     t[3] = {m[3], m[7], m[11]};
         f->pose[v] = td_pose_from_rotation(r, t);
     }
     f->best = camera;
@@ -525,9 +569,11 @@ td_status td_first_estimate(td_camera *camera, td_pose *camera_from_target, bool
 
     seen_points s;
     TD_TRY(seen_gather(&s, o, index, error));
-    search f = {.s = &s, .o = o, .pose = camera_from_target, .has_pose = has_pose, .best = *camera, .cost = INFINITY};
+    search f = {
+        .s = &s, .o = o, .pose = camera_from_target, .has_pose = has_pose, .best = *camera, .cost = INFINITY};
     f.work = malloc((s.first[o->view_count] + o->view_count + 1) * sizeof *f.work);
-    td_status status = f.work ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for %zu views", o->view_count);
+    td_status status =
+        f.work ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for %zu views", o->view_count);
     if (status == TD_OK && !keep_camera)
         status = method == TD_ESTIMATE_FAUGERAS_TOSCANI ? camera_by_faugeras_toscani(&f, rail, error)
                                                         : camera_by_homography(&f, error);

@@ -16,7 +16,8 @@ TD_API td_visp_estimate_function td_visp_estimate;
 
 namespace {
 
-vpHomogeneousMatrix pose_of(const vpCameraParameters &camera, const double *point, const double *pixel, size_t n)
+vpHomogeneousMatrix pose_of(const vpCameraParameters &camera, const double *start, const double *point,
+                            const double *pixel, size_t n)
 {
     vpPose pose;
     for (size_t i = 0; i < n; i++) {
@@ -27,11 +28,10 @@ vpHomogeneousMatrix pose_of(const vpCameraParameters &camera, const double *poin
         p.set_y(y);
         pose.addPoint(p);
     }
-    // Both linear starts: each has boards that it gets wrong.
-    vpHomogeneousMatrix dementhon, lagrange;
-    pose.computePose(vpPose::DEMENTHON_VIRTUAL_VS, dementhon);
-    pose.computePose(vpPose::LAGRANGE_VIRTUAL_VS, lagrange);
-    return pose.computeResidual(dementhon) < pose.computeResidual(lagrange) ? dementhon : lagrange;
+    vpHomogeneousMatrix found;
+    for (unsigned i = 0; i < 16; i++) found[i / 4][i % 4] = start[i];
+    pose.computePose(vpPose::VIRTUAL_VS, found);
+    return found;
 }
 
 void estimate(double intrinsics[4], double *matrix, const double *point, const double *pixel, const size_t *first,
@@ -42,7 +42,7 @@ void estimate(double intrinsics[4], double *matrix, const double *point, const d
     for (size_t v = 0; v < views; v++) {
         size_t n = count[v];
         const double *p = point + 3 * first[v], *u = pixel + 2 * first[v];
-        table[v].cMo = pose_of(camera, p, u, n);
+        table[v].cMo = pose_of(camera, matrix + 16 * v, p, u, n);
         for (size_t i = 0; i < n; i++) {
             vpImagePoint ip(u[2 * i + 1], u[2 * i]);
             table[v].addPoint(p[3 * i], p[3 * i + 1], p[3 * i + 2], ip);

@@ -2,57 +2,21 @@
 
 #include <math.h>
 #include <stdlib.h>
-#include <string.h>
 
+#include "calib/projective_internal.h"
 #include "core/linalg.h"
-
-/* Shifts points to their centroid and scales them to a mean distance of sqrt 2. */
-typedef struct normaliser {
-    double scale, centre[2];
-} normaliser;
-
-static bool normalise(normaliser *n, const double *point, size_t count)
-{
-    *n = (normaliser){0};
-    for (size_t i = 0; i < count; i++)
-        for (int k = 0; k < 2; k++) n->centre[k] += point[2 * i + k] / (double)count;
-    double mean = 0;
-    for (size_t i = 0; i < count; i++)
-        mean += hypot(point[2 * i] - n->centre[0], point[2 * i + 1] - n->centre[1]) / (double)count;
-    /* Of points that coincide rounding leaves a little. */
-    if (!(mean > 1e-12 * hypot(n->centre[0], n->centre[1])) || !isfinite(mean)) return false;
-    n->scale = sqrt(2.0) / mean;
-    return true;
-}
 
 td_status td_homography(double h[9], const double *plane, const double *image, size_t n, td_error *error)
 {
-    normaliser p, q;
+    td_projective fit;
+    double norm = 0;
     if (n < 4) return td_fail(error, TD_ERROR_DATA, "a homography needs 4 points, %zu were given", n);
-    if (!normalise(&p, plane, n) || !normalise(&q, image, n))
+    if (!td_projective_fit(&fit, plane, image, n, 2))
         return td_fail(error, TD_ERROR_DATA, "a homography's points coincide or are not finite");
-    double *a = malloc(18 * n * sizeof *a);
-    if (!a) return td_fail(error, TD_ERROR_MEMORY, "no memory for %zu points", n);
-    for (size_t i = 0; i < n; i++) {
-        double x = (plane[2 * i] - p.centre[0]) * p.scale, y = (plane[2 * i + 1] - p.centre[1]) * p.scale;
-        double u = (image[2 * i] - q.centre[0]) * q.scale, v = (image[2 * i + 1] - q.centre[1]) * q.scale;
-        const double rows[18] = {x, y, 1, 0, 0, 0, -u * x, -u * y, -u, 0, 0, 0, x, y, 1, -v * x, -v * y, -v};
-        memcpy(a + 18 * i, rows, sizeof rows);
-    }
-    double hn[9], ratio = 0;
-    td_status status = td_null_vector(hn, &ratio, a, 2 * n, 9, error);
-    free(a);
-    TD_TRY(status);
-    if (ratio < 1e-7) return td_fail(error, TD_ERROR_DATA, "a homography's points lie on a line");
-
-    /* h = Tq^-1 hn Tp */
-    const double tp[9] = {p.scale, 0, -p.scale * p.centre[0], 0, p.scale, -p.scale * p.centre[1], 0, 0, 1};
-    const double tq[9] = {1 / q.scale, 0, q.centre[0], 0, 1 / q.scale, q.centre[1], 0, 0, 1};
-    double half[9], norm = 0;
-    td_multiply(half, hn, tp, 3, 3, 3);
-    td_multiply(h, tq, half, 3, 3, 3);
-    for (int i = 0; i < 9; i++) norm += h[i] * h[i];
-    for (int i = 0; i < 9; i++) h[i] /= sqrt(norm);
+    if (!(fit.spread > 1e-6) || !(fit.gap > 1e-10))
+        return td_fail(error, TD_ERROR_DATA, "a homography's points lie on a line");
+    for (int i = 0; i < 9; i++) norm += fit.q[i] * fit.q[i];
+    for (int i = 0; i < 9; i++) h[i] = fit.q[i] / sqrt(norm);
     return TD_OK;
 }
 
@@ -63,8 +27,8 @@ bool td_focal_from_homographies(double focal[2], const double centre[2], const d
     double *b = a + 4 * n;
     bool tilted = false;
     for (size_t i = 0; i < n; i++) {
-        /* Columns of the homography with the principal point moved to the origin, and their sum and difference:
-         * both pairs are orthogonal on the plane. */
+        /* Columns of the homography with the principal point moved to the origin, and their sum and
+         * difference: both pairs are orthogonal on the plane. */
         double c[3][2], d[2][2], w[2] = {h[9 * i + 6], h[9 * i + 7]};
         double length = 0;
         for (int k = 0; k < 2; k++) {
@@ -72,8 +36,8 @@ bool td_focal_from_homographies(double focal[2], const double centre[2], const d
             c[2][k] = w[k];
         }
         for (int r = 0; r < 3; r++) length += c[r][0] * c[r][0] + c[r][1] * c[r][1];
-        /* |w|^2 / length = (sine of the tilt / focal length in px)^2: some 1e-6^2 for a view that tells, rounding
-         * (1e-16^2) for one that is parallel to the image. */
+        /* |w|^2 / length = (sine of the tilt / focal length in px)^2: some 1e-6^2 for a view that tells,
+         * rounding (1e-16^2) for one that is parallel to the image. */
         tilted = tilted || w[0] * w[0] + w[1] * w[1] > 1e-24 * length;
         for (int r = 0; r < 2; r++) {
             d[r][0] = c[r][0] * c[r][1] / length;
@@ -106,7 +70,8 @@ bool td_focal_from_homographies(double focal[2], const double centre[2], const d
 td_status td_pose_from_homography(td_pose *camera_from_plane, const double h[9], td_error *error)
 {
     double r[9], nearest[9], t[3];
-    double n0 = sqrt(h[0] * h[0] + h[3] * h[3] + h[6] * h[6]), n1 = sqrt(h[1] * h[1] + h[4] * h[4] + h[7] * h[7]);
+    double n0 = sqrt(h[0] * h[0] + h[3] * h[3] + h[6] * h[6]),
+           n1 = sqrt(h[1] * h[1] + h[4] * h[4] + h[7] * h[7]);
     double scale = sqrt(n0 * n1);
     if (!(scale > 0) || !isfinite(scale)) return td_fail(error, TD_ERROR_DATA, "a homography without a pose");
     if (h[8] < 0) scale = -scale; /* the plane is in front of the camera */

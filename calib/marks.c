@@ -150,35 +150,6 @@ static double median(double *value, size_t n)
     return n % 2 ? value[n / 2] : 0.5 * (value[n / 2 - 1] + value[n / 2]);
 }
 
-/* Median diameter of the marks by their areas and the planes' homographies, m. `value`: room for all points.
- */
-static double seen_diameter(double *value, const td_numbering *n)
-{
-    size_t count = 0, first = 0;
-    for (int p = 0; p < n->target->plane_count; p++) {
-        const td_target_plane *plane = &n->target->plane[p];
-        td_lattice l = {plane->columns, plane->rows, 0, n->of_point + first};
-        size_t cells = (size_t)plane->columns * (size_t)plane->rows;
-        for (size_t i = 0; i < cells; i++) l.count += l.mark[i] >= 0;
-        double h[9];
-        bool ok = n->seen[p] && td_lattice_homography(h, &l, n->mark);
-        for (size_t i = 0; ok && i < cells; i++) {
-            if (l.mark[i] < 0) continue;
-            double c = (double)(i % (size_t)plane->columns), r = (double)(i / (size_t)plane->columns), a[2],
-                   b[2], d[2], e[2];
-            td_homography_map(a, h, c - 0.1, r);
-            td_homography_map(b, h, c + 0.1, r);
-            td_homography_map(d, h, c, r - 0.1);
-            td_homography_map(e, h, c, r + 0.1);
-            double cell = 25 * fabs((b[0] - a[0]) * (e[1] - d[1]) - (b[1] - a[1]) * (e[0] - d[0])), axes[2];
-            td_mark_axes(axes, &n->mark[l.mark[i]]);
-            value[count++] = 2 * plane->spacing_m * sqrt(axes[0] * axes[1] / cell);
-        }
-        first += cells;
-    }
-    return median(value, count);
-}
-
 static const char *polarity_word(td_mark_polarity polarity)
 {
     return polarity == TD_MARK_DARK ? "dark " : polarity == TD_MARK_LIGHT ? "light " : "";
@@ -233,17 +204,20 @@ static void tell_missing(char *text, size_t size, const td_numbering *n)
 static td_status tell_remarks(char *text, size_t size, const td_numbering *n, td_error *error)
 {
     size_t points = td_target_point_count(n->target), seen = covered(n);
-    double *value = malloc(points * sizeof *value);
-    if (!value) return td_fail(error, TD_ERROR_MEMORY, "no memory for %zu points", points);
-    double diameter = seen_diameter(value, n), wanted = n->target->diameter_m;
-    free(value);
     if (seen < points) append(text, size, "%zu of %zu marks seen", seen, points);
     for (int i = 0; i < n->target->plane_count; i++)
         if (!n->seen[i]) append(text, size, "; plane %d not seen", i + 1);
     if (n->note[0]) append(text, size, ": %s", n->note);
-    if (fabs(diameter - wanted) > DIAMETER_TOLERANCE * wanted)
+    for (int i = 0; i < n->target->plane_count; i++) {
+        double diameter, wanted = n->target->diameter_m;
+        if (!n->seen[i]) continue;
+        TD_TRY(td_numbered_diameter(&diameter, n, i, error));
+        diameter *= n->target->plane[i].spacing_m;
+        if (!(fabs(diameter - wanted) > DIAMETER_TOLERANCE * wanted)) continue;
         append(text, size, "%sthe marks are about %.3g mm wide, the target says %.3g mm", text[0] ? "; " : "",
                1e3 * diameter, 1e3 * wanted);
+        break;
+    }
     return TD_OK;
 }
 
@@ -292,7 +266,10 @@ static td_status detect(td_detection *detection, td_mark **mark, td_numbering *n
     bool light;
     TD_TRY(td_marks_find(mark, &count, image, target->polarity, error));
     TD_TRY(number_any(n, &light, target, *mark, count, click, clicks, error));
-    if (covered(n)) return fill(detection, n, error);
+    if (covered(n)) {
+        TD_TRY(td_marks_recover(n, mark, image, error));
+        return fill(detection, n, error);
+    }
     tell_missing(detection->reason, sizeof detection->reason, n);
     return hint_polarity(detection->reason, sizeof detection->reason, image, target, error);
 }

@@ -64,14 +64,30 @@ static bool find_clicked(clicked *c, td_numbering *n, int plane, const td_click 
     return true;
 }
 
-/* A turn from x to y stays one: det of the homography's Jacobian at the plane's centre. */
-static bool is_mirrored(const double h[9], const td_lattice *l)
+static double turn_of(const double a[2], const double b[2], const double c[2])
 {
-    double o[2], a[2], b[2], c = 0.5 * (l->columns - 1), r = 0.5 * (l->rows - 1);
-    td_homography_map(o, h, c, r);
-    td_homography_map(a, h, c + 0.5, r);
-    td_homography_map(b, h, c, r + 0.5);
-    return (a[0] - o[0]) * (b[1] - o[1]) - (a[1] - o[1]) * (b[0] - o[0]) < 0;
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+}
+
+/* Every three marks that turn from x to y on the plane turn the other way in the image. */
+static bool is_mirrored(const clicked *c, const td_numbering *n, int columns)
+{
+    for (size_t i = 0; i < c->count; i++) {
+        for (size_t j = 0; j < i; j++) {
+            for (size_t k = 0; k < j; k++) {
+                const size_t at[3] = {i, j, k};
+                double plane[3][2];
+                for (int m = 0; m < 3; m++) {
+                    plane[m][0] = c->cell[at[m]] % columns;
+                    plane[m][1] = c->cell[at[m]] / columns;
+                }
+                double image = turn_of(n->mark[c->mark[i]].centre, n->mark[c->mark[j]].centre,
+                                       n->mark[c->mark[k]].centre);
+                if (turn_of(plane[0], plane[1], plane[2]) * image > 0) return false;
+            }
+        }
+    }
+    return true;
 }
 
 /* One round: every empty place takes the nearest free mark that is near enough. Returns how many did. */
@@ -106,8 +122,8 @@ static size_t fill(td_lattice *l, bool *used, const td_numbering *n, const doubl
 }
 
 /* The plane's grid from its clicks, without click `skip`. */
-static td_status grow_from_clicks(td_lattice *l, bool *mirrored, const clicked *c, size_t skip,
-                                  const td_numbering *n, td_error *error)
+static td_status grow_from_clicks(td_lattice *l, const clicked *c, size_t skip, const td_numbering *n,
+                                  td_error *error)
 {
     bool *used = calloc(n->marks + 1, sizeof *used);
     if (!used) return td_fail(error, TD_ERROR_MEMORY, "no memory for %zu marks", n->marks);
@@ -121,11 +137,10 @@ static td_status grow_from_clicks(td_lattice *l, bool *mirrored, const clicked *
         l->count++;
         used[c->mark[i]] = true;
     }
-    *mirrored = false;
     for (int round = 0; round < MAX_ROUNDS; round++) {
         double h[9], inverse[9];
         if (!td_lattice_homography(h, l, n->mark) || !td_homography_invert(inverse, h)) break;
-        if ((*mirrored = is_mirrored(h, l)) || !fill(l, used, n, inverse)) break;
+        if (!fill(l, used, n, inverse)) break;
     }
     free(used);
     return td_lattice_discard(l, n->mark, error);
@@ -137,9 +152,8 @@ static td_status culprit(size_t *number, td_lattice *l, const clicked *c, const 
 {
     *number = 0;
     for (size_t i = 0; i < c->count && c->count > 4; i++) {
-        bool mirrored;
-        TD_TRY(grow_from_clicks(l, &mirrored, c, i, n, error));
-        if (mirrored || l->count < needed) continue;
+        TD_TRY(grow_from_clicks(l, c, i, n, error));
+        if (l->count < needed) continue;
         if (*number) { /* two such clicks: neither is known to be wrong */
             *number = 0;
             return TD_OK;
@@ -154,12 +168,11 @@ static td_status number_plane(td_numbering *n, td_lattice *l, int plane, size_t 
 {
     const td_target_plane *p = &n->target->plane[plane];
     const size_t needed = td_marks_needed(p), cells = (size_t)p->columns * (size_t)p->rows;
-    bool mirrored;
-    TD_TRY(grow_from_clicks(l, &mirrored, c, SIZE_MAX, n, error));
-    size_t wrong = 0;
-    for (size_t i = 0; i < c->count && !wrong; i++)
-        if (l->mark[c->cell[i]] != c->mark[i]) wrong = c->number[i];
-    if (!wrong && !mirrored && l->count >= needed) {
+    const bool mirrored = is_mirrored(c, n, p->columns);
+    TD_TRY(grow_from_clicks(l, c, SIZE_MAX, n, error));
+    bool kept = true;
+    for (size_t i = 0; i < c->count; i++) kept &= l->mark[c->cell[i]] == c->mark[i];
+    if (kept && !mirrored && l->count >= needed) {
         for (size_t i = 0; i < cells; i++) n->of_point[first + i] = l->mark[i];
         n->seen[plane] = true;
         return TD_OK;
@@ -167,12 +180,11 @@ static td_status number_plane(td_numbering *n, td_lattice *l, int plane, size_t 
     n->refused = true;
     size_t count = l->count, alone;
     TD_TRY(culprit(&alone, l, c, n, needed, error));
-    if (alone) wrong = alone;
-    if (alone || (wrong && count >= needed))
-        snprintf(n->note, sizeof n->note, "click %zu contradicts the others", wrong);
-    else if (mirrored)
+    if (mirrored)
         snprintf(n->note, sizeof n->note,
                  "the clicks number the marks as in a mirror: columns and rows are exchanged");
+    else if (alone)
+        snprintf(n->note, sizeof n->note, "click %zu contradicts the others", alone);
     else
         snprintf(n->note, sizeof n->note,
                  "with these clicks only %zu of %zu marks are where they should be: are their numbers right?",

@@ -32,6 +32,9 @@ enum {
  * image. */
 static const double BULGE_PER_PX = 1e-3;
 
+/* Share of the pixels that must be no outliers. */
+static const double LEAST_USED = 0.85;
+
 static const double PI = 3.14159265358979323846;
 
 /* An ellipse for many distances: the inverse of B, and of B^2. */
@@ -82,6 +85,12 @@ typedef struct problem {
     ellipse neighbour[MAX_NEIGHBOURS]; /* other blobs nearby */
     int neighbours;
 } problem;
+
+void td_mark_fit_init(td_mark_fit *fit, const td_image *image)
+{
+    *fit = (td_mark_fit){.noise = td_image_noise(image)};
+    td_normal_table_init(&fit->table);
+}
 
 void td_mark_fit_free(td_mark_fit *fit)
 {
@@ -312,7 +321,7 @@ static bool start_levels(problem *p)
         for (int i = 0; i < w->width; i++) {
             offset o = offset_at(&e, w->x0 + i, w->y0 + j);
             bool edge = is_within(o, 1.5);
-            if (o.excess > 0 && !edge && is_within(o, 4) && !is_neighbours(p, w->x0 + i, w->y0 + j, 1.5))
+            if (o.excess > 0 && !edge && is_within(o, 4) && !is_neighbours(p, w->x0 + i, w->y0 + j, 0.75))
                 ring[row[i]]++, total++;
             if (o.excess < 0 && !edge) core += row[i], count++;
             if (o.excess < deepest) deepest = o.excess, at_deepest = row[i];
@@ -436,9 +445,15 @@ static bool mark_outliers(problem *p)
     return changed;
 }
 
+static void use_all(problem *p)
+{
+    for (int i = 0; i < p->rows; i++) p->fit->pixel[i].outlier = false;
+    sum_cost(p);
+}
+
 /* Descends until the next step would move the centre by less than a fifth of its sigma and the edge by less
- * than 0.03 px, and takes that step too. After the first step the model is near: outliers are told, and the
- * Jacobian is kept while the steps are small. */
+ * than 0.03 px, and takes that step too. After the first step the model is near: outliers are told (too many
+ * of them mean that it is not), and the Jacobian is kept while the steps are small. */
 static bool descend(problem *p)
 {
     double lambda = 1e-4;
@@ -458,6 +473,7 @@ static bool descend(problem *p)
         if (possible) evaluate(p, refresh);
         if (possible && p->cost <= cost) {
             if (i == 0) mark_outliers(p);
+            if (i == 0 && p->used < LEAST_USED * p->rows) use_all(p);
             lambda *= 0.1;
             normal_equations(p, refresh);
             fresh = refresh;
@@ -489,7 +505,8 @@ static bool fit_edge(problem *p, bool *memory)
         if (!choose_pixels(p, 1 + 2.5 * smear, smear, memory)) return false;
         evaluate(p, true);
         double contrast = q[INSIDE] - q[OUTSIDE];
-        if (p->cost > 0.09 * contrast * contrast * p->rows || !descend(p)) return false;
+        double most = fmax(0.3 * fabs(contrast), 2 * p->fit->noise);
+        if (p->cost > most * most * p->rows || !descend(p)) return false;
         for (int k = 0; k < 4 && mark_outliers(p); k++)
             if (p->used < PARAMETERS * 2 || !descend(p)) return false;
         if (edge_move(q, before) < 0.4) return true;
@@ -505,10 +522,11 @@ static bool plausible(const problem *p, const td_blob *blob)
     eigenvalues(lambda, q + TD_EDGE_BXX);
     double area = PI * lambda[0] * lambda[1];
     double dx = q[TD_EDGE_CX] - blob->centroid[0], dy = q[TD_EDGE_CY] - blob->centroid[1];
-    return (contrast > 0) == blob->light && fabs(contrast) >= 5 && rms < 0.2 * fabs(contrast) &&
-           p->used > 0.75 * p->rows && hypot(dx, dy) < 1.5 + 0.3 * lambda[1] && area > 0.25 * blob->area &&
-           area < 3 * blob->area + 10 && lambda[0] > 0.1 * lambda[1] &&
-           q[TD_EDGE_BLUR] < 0.5 + 1.5 * lambda[0] && hypot(q[TD_EDGE_E3C], q[TD_EDGE_E3S]) < 0.06;
+    return (contrast > 0) == blob->light && fabs(contrast) >= 5 &&
+           rms < fmax(0.2 * fabs(contrast), 2 * p->fit->noise) && p->used > LEAST_USED * p->rows &&
+           hypot(dx, dy) < 1.5 + 0.3 * lambda[1] && area > 0.25 * blob->area && area < 3 * blob->area + 10 &&
+           lambda[0] > 0.1 * lambda[1] && q[TD_EDGE_BLUR] < 0.5 + 1.5 * lambda[0] &&
+           hypot(q[TD_EDGE_E3C], q[TD_EDGE_E3S]) < 0.06;
 }
 
 /* The mark of a finished fit; false when its covariance is not there. */
@@ -580,7 +598,7 @@ static td_status fit_all(td_mark *mark, size_t *found, size_t *failed, td_mark_f
                          const td_image *image, const td_blob *blob, size_t blobs, td_error *error)
 {
     size_t fails = 0;
-    td_normal_table_init(&fit->table);
+    td_mark_fit_init(fit, image);
     for (size_t i = 0; i < blobs; i++) {
         bool ok;
         if (already_seen(blob, i, mark, *found, failed, fails)) continue;

@@ -10,7 +10,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "calib/homography.h"
 #include "calib/marks_internal.h"
 
 static const double PI = 3.14159265358979323846;
@@ -19,9 +18,11 @@ enum { MAX_NEAR = 12, REACH = TD_TARGET_MAX_SIDE, SIDE = 2 * REACH + 1, LEAST_MA
 
 /* In shares of the pitch. A diagonal neighbour is 1.41 away; an expected neighbour may be off by TOLERANCE.
  */
-static const double LEAST_STEP = 0.7, MOST_STEP = 1.3, TOLERANCE = 0.35;
+static const double LEAST_STEP = 0.7, MOST_STEP = 1.3, TOLERANCE = 0.25;
 /* Lattice units by which a mark that joins over a gap may be off. */
 static const double JOIN_TOLERANCE = 0.2;
+/* Places beyond the lattice's last at which a mark may join. */
+static const int GAP = 3;
 
 /* A mark nearby, and where it is seen from here in the frame where both are circles. */
 typedef struct near_mark {
@@ -80,7 +81,7 @@ static bool alike(const node *a, const td_mark *mark_b, double minor)
                    g[1] * s[1] + g[2] * s[2]};
     double q[3] = {m[0] * g[0] + m[1] * g[1], m[0] * g[1] + m[1] * g[2], m[2] * g[1] + m[3] * g[2]};
     double half = 0.5 * (q[0] + q[2]), root = hypot(0.5 * (q[0] - q[2]), q[1]);
-    double most = 1.4 + 0.6 / minor; /* of the ratio of axes; here are their squares */
+    double most = 1.3 + 0.6 / minor; /* of the ratio of axes; here are their squares */
     return (half + root) < most * most && (half - root) * most * most > 1;
 }
 
@@ -243,10 +244,10 @@ static double direction(const graph *g, int mark, double angle)
     return sum[0] != 0 || sum[1] != 0 ? atan2(sum[1], sum[0]) : angle;
 }
 
-/* Takes in the neighbours of the marks from queue[head] on, and theirs. */
-static void grow(graph *g, int head, double angle)
+/* Takes in the neighbours of the marks in the queue, and theirs. */
+static void grow(graph *g, double angle)
 {
-    for (; head < g->queued; head++) {
+    for (int head = 0; head < g->queued; head++) {
         const int mark = g->queue[head];
         const node *n = &g->node[mark];
         double a = direction(g, mark, angle);
@@ -265,48 +266,24 @@ static void grow(graph *g, int head, double angle)
     }
 }
 
-/* Free marks that lie on the lattice by its homography, beyond a gap of one or two. */
-static bool join(graph *g, double angle)
-{
-    double h[9], inverse[9], *plane = g->pair, *image = plane + 2 * g->queued;
-    int low[2] = {REACH, REACH}, high[2] = {-REACH, -REACH}, before = g->queued;
-    for (int i = 0; i < g->queued; i++) {
-        const node *n = &g->node[g->queue[i]];
-        for (int k = 0; k < 2; k++) {
-            plane[2 * i + k] = n->at[k];
-            image[2 * i + k] = g->mark[g->queue[i]].centre[k];
-            if (n->at[k] < low[k]) low[k] = n->at[k];
-            if (n->at[k] > high[k]) high[k] = n->at[k];
-        }
-    }
-    if (g->queued < 2 * LEAST_MARKS || td_homography(h, plane, image, (size_t)g->queued, NULL) != TD_OK ||
-        !td_homography_invert(inverse, h))
-        return false;
-    for (int m = 0; m < g->count; m++) {
-        if (g->node[m].state != FREE) continue;
-        double at[2], beside[2], below[2];
-        td_homography_map(at, inverse, g->mark[m].centre[0], g->mark[m].centre[1]);
-        if (!(at[0] > low[0] - 2.5 && at[0] < high[0] + 2.5 && at[1] > low[1] - 2.5 && at[1] < high[1] + 2.5))
-            continue;
-        double column = round(at[0]), row = round(at[1]);
-        if (hypot(at[0] - column, at[1] - row) > JOIN_TOLERANCE) continue;
-        /* One lattice unit is `pitch` radii: the cell's area tells the mark's. */
-        td_homography_map(beside, h, column + 0.5, row);
-        td_homography_map(below, h, column, row + 0.5);
-        double *c = at;
-        td_homography_map(c, h, column, row);
-        double cell =
-            4 * fabs((beside[0] - c[0]) * (below[1] - c[1]) - (beside[1] - c[1]) * (below[0] - c[0]));
-        double ratio = g->node[m].axes[0] * g->node[m].axes[1] * g->pitch * g->pitch / cell;
-        if (ratio > 0.6 && ratio < 1.7) settle(g, m, (int)column, (int)row);
-    }
-    grow(g, before, angle);
-    return g->queued > before;
-}
-
 /* ---- From growth to lattices. ---- */
 
-static bool keep_lattice(td_lattices *lattices, const graph *g)
+/* Keeps the lattices sorted, the largest first. Owns `l.mark` from here on. */
+static bool insert(td_lattices *lattices, td_lattice l)
+{
+    td_lattice *more = realloc(lattices->lattice, (lattices->count + 1) * sizeof *more);
+    if (!more) {
+        free(l.mark);
+        return false;
+    }
+    lattices->lattice = more;
+    size_t i = lattices->count++;
+    for (; i > 0 && more[i - 1].count < l.count; i--) more[i] = more[i - 1];
+    more[i] = l;
+    return true;
+}
+
+static bool keep_grown(td_lattices *lattices, const graph *g)
 {
     int low[2] = {REACH, REACH}, high[2] = {-REACH, -REACH};
     for (int i = 0; i < g->queued; i++) {
@@ -317,9 +294,6 @@ static bool keep_lattice(td_lattices *lattices, const graph *g)
         }
     }
     td_lattice l = {high[0] - low[0] + 1, high[1] - low[1] + 1, (size_t)g->queued, NULL};
-    td_lattice *more = realloc(lattices->lattice, (lattices->count + 1) * sizeof *more);
-    if (!more) return false;
-    lattices->lattice = more;
     size_t cells = (size_t)l.columns * l.rows;
     if (!(l.mark = malloc(cells * sizeof *l.mark))) return false;
     for (size_t i = 0; i < cells; i++) l.mark[i] = -1;
@@ -327,11 +301,7 @@ static bool keep_lattice(td_lattices *lattices, const graph *g)
         const node *n = &g->node[g->queue[i]];
         l.mark[(size_t)(n->at[1] - low[1]) * l.columns + n->at[0] - low[0]] = g->queue[i];
     }
-    size_t i = lattices->count++;
-    for (; i > 0 && lattices->lattice[i - 1].count < l.count; i--)
-        lattices->lattice[i] = lattices->lattice[i - 1];
-    lattices->lattice[i] = l;
-    return true;
+    return insert(lattices, l);
 }
 
 static bool grow_all(td_lattices *lattices, graph *g)
@@ -342,15 +312,106 @@ static bool grow_all(td_lattices *lattices, graph *g)
         if (g->node[g->seed[i].mark].state != FREE) continue;
         g->queued = 0;
         settle(g, g->seed[i].mark, 0, 0);
-        grow(g, 0, g->seed[i].angle);
-        while (join(g, g->seed[i].angle)) continue;
+        grow(g, g->seed[i].angle);
         bool kept = g->queued >= LEAST_MARKS;
-        if (kept && !keep_lattice(lattices, g)) return false;
+        if (kept && !keep_grown(lattices, g)) return false;
         for (int k = 0; k < g->queued; k++) {
             node *n = &g->node[g->queue[k]];
             *place(g, n->at[0], n->at[1]) = -1;
-            n->state = kept || k == 0 ? TAKEN : FREE;
+            n->state = kept ? TAKEN : FREE;
         }
+    }
+    return true;
+}
+
+/* ---- Over gaps: a hidden row cuts a lattice in two. ---- */
+
+/* Has the mark the shape that the homography gives a mark there? One lattice unit is `pitch` radii. */
+static bool is_expected(const graph *g, int mark, const double h[9], double column, double row)
+{
+    double j[4], r2 = 1 / (g->pitch * g->pitch);
+    td_homography_jacobian(j, h, column, row);
+    double xx = r2 * (j[0] * j[0] + j[1] * j[1]), xy = r2 * (j[0] * j[2] + j[1] * j[3]);
+    double yy = r2 * (j[2] * j[2] + j[3] * j[3]), det = xx * yy - xy * xy;
+    const td_mark there = {.shape = {yy / det, -xy / det, xx / det}};
+    node n;
+    init_node(&n, &there);
+    return alike(&n, &g->mark[mark], g->node[mark].axes[0]);
+}
+
+/* Places of n marks on the lattice by its homography, into their nodes; false unless all lie on free places
+ * not far outside and have the right shape. */
+static bool places_on(graph *g, const td_lattice *l, const double h[9], const double inverse[9],
+                      const int *mark, int n)
+{
+    for (int i = 0; i < n; i++) {
+        double at[2];
+        td_homography_map(at, inverse, g->mark[mark[i]].centre[0], g->mark[mark[i]].centre[1]);
+        double column = round(at[0]), row = round(at[1]);
+        if (!(column > -GAP && row > -GAP && column < l->columns + GAP && row < l->rows + GAP)) return false;
+        if (hypot(at[0] - column, at[1] - row) > JOIN_TOLERANCE || !is_expected(g, mark[i], h, column, row))
+            return false;
+        int c = (int)column, r = (int)row;
+        if (c >= 0 && r >= 0 && c < l->columns && r < l->rows && l->mark[(size_t)r * l->columns + c] >= 0)
+            return false;
+        for (int k = 0; k < i; k++)
+            if (g->node[mark[k]].at[0] == c && g->node[mark[k]].at[1] == r) return false;
+        g->node[mark[i]].at[0] = c;
+        g->node[mark[i]].at[1] = r;
+    }
+    return true;
+}
+
+/* The lattice with n marks more, at the places in their nodes. */
+static bool extend(td_lattice *l, const graph *g, const int *mark, int n)
+{
+    int low[2] = {0, 0}, high[2] = {l->columns - 1, l->rows - 1};
+    for (int i = 0; i < n; i++) {
+        for (int k = 0; k < 2; k++) {
+            int at = g->node[mark[i]].at[k];
+            if (at < low[k]) low[k] = at;
+            if (at > high[k]) high[k] = at;
+        }
+    }
+    td_lattice m = {high[0] - low[0] + 1, high[1] - low[1] + 1, l->count + (size_t)n, NULL};
+    size_t cells = (size_t)m.columns * m.rows;
+    if (!(m.mark = malloc(cells * sizeof *m.mark))) return false;
+    for (size_t i = 0; i < cells; i++) m.mark[i] = -1;
+    for (int r = 0; r < l->rows; r++)
+        for (int c = 0; c < l->columns; c++)
+            m.mark[(size_t)(r - low[1]) * m.columns + c - low[0]] = l->mark[(size_t)r * l->columns + c];
+    for (int i = 0; i < n; i++)
+        m.mark[(size_t)(g->node[mark[i]].at[1] - low[1]) * m.columns + g->node[mark[i]].at[0] - low[0]] =
+            mark[i];
+    free(l->mark);
+    *l = m;
+    return true;
+}
+
+/* One lattice takes in others, and single marks, that lie on its own continuation. */
+static bool join(td_lattices *all, size_t index, graph *g)
+{
+    td_lattice *l = &all->lattice[index];
+    double h[9], inverse[9];
+    if (l->count < 2 * LEAST_MARKS || !td_lattice_homography(h, l, g->mark) ||
+        !td_homography_invert(inverse, h))
+        return true;
+    for (size_t i = index + 1; i < all->count; i++) {
+        td_lattice *other = &all->lattice[i];
+        int n = 0;
+        for (int k = 0; k < other->columns * other->rows; k++)
+            if (other->mark[k] >= 0) g->queue[n++] = other->mark[k];
+        if (!places_on(g, l, h, inverse, g->queue, n)) continue;
+        bool ok = extend(l, g, g->queue, n);
+        free(other->mark);
+        all->count--;
+        for (size_t k = i; k < all->count; k++) all->lattice[k] = all->lattice[k + 1];
+        return ok && join(all, index, g);
+    }
+    for (int m = 0; m < g->count; m++) {
+        if (g->node[m].state != FREE || !places_on(g, l, h, inverse, &m, 1)) continue;
+        g->node[m].state = TAKEN;
+        return extend(l, g, &m, 1) && join(all, index, g);
     }
     return true;
 }
@@ -381,6 +442,7 @@ td_status td_marks_lattices(td_lattices *lattices, const td_mark *mark, size_t c
     ok = ok && find_neighbours(&g, pitch > 0 ? MOST_STEP * pitch : 12);
     if (ok && !(pitch > 0)) g.pitch = typical_pitch(&g);
     ok = ok && (!(g.pitch > 0) || grow_all(lattices, &g));
+    for (size_t i = 0; ok && i < lattices->count; i++) ok = join(lattices, i, &g);
     free_graph(&g);
     if (ok) return TD_OK;
     td_lattices_free(lattices);

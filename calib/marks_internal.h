@@ -78,15 +78,17 @@ typedef struct td_mark_pixel {
     bool outlier;
 } td_mark_pixel;
 
-/* Working memory of fits, used again from mark to mark; zeroed at first. */
+/* What fits to marks of one image share: working memory, used again from mark to mark. */
 typedef struct td_mark_fit {
     td_normal_table table;
+    double noise;         /* of the image, grey levels */
     float *cover;         /* (pixels of the window) */
     int *slot;            /* (pixels of the window) */
     td_mark_pixel *pixel; /* (slots) */
     float *d_edge;        /* (slots,8) */
     size_t size;          /* of all of these */
 } td_mark_fit;
+void td_mark_fit_init(td_mark_fit *fit, const td_image *image);
 void td_mark_fit_free(td_mark_fit *fit);
 
 /* Fits the model to the image around blob[index] of (count), leaving out what belongs to other blobs. *ok =
@@ -130,8 +132,10 @@ bool td_lattice_homography(double image_from_lattice[9], const td_lattice *latti
 bool td_lattice_predict(double value[3], const td_lattice *lattice, const td_mark *mark,
                         const double lattice_from_image[9], int column, int row);
 
-/* Image of (x, y) by a homography, and its inverse; false when there is none. */
+/* Image of (x, y) by a homography, its derivatives (row-major 2x2), and the inverse; false when there is
+ * none. */
 void td_homography_map(double out[2], const double h[9], double x, double y);
+void td_homography_jacobian(double j[4], const double h[9], double x, double y);
 bool td_homography_invert(double inverse[9], const double h[9]);
 /* Semi-axes of a mark, px: minor, major. */
 void td_mark_axes(double axes[2], const td_mark *mark);
@@ -162,6 +166,17 @@ td_status td_marks_number_clicked(td_numbering *numbering, const td_click *click
 
 /* The nearest mark to a click, -1 when the click is far from all; *away (px) is how far. */
 int td_marks_clicked(double *away, const td_numbering *numbering, const td_click *click);
+
+/* Looks once more, where they should be, for marks of the planes seen: dirt that touches a mark spoils its
+ * blob. *mark (marks) grows by those found. */
+td_status td_marks_recover(td_numbering *numbering, td_mark **mark, const td_image *image, td_error *error);
+
+/* The marks of a plane as a lattice; lattice->mark lends from the numbering. */
+td_lattice td_numbered_plane(const td_numbering *numbering, int plane, size_t *first);
+
+/* Median diameter of the plane's marks by their areas and its homography, in units of its spacing; NaN:
+ * unknown. */
+td_status td_numbered_diameter(double *diameter, const td_numbering *numbering, int plane, td_error *error);
 
 #ifdef __cplusplus
 }

@@ -35,6 +35,13 @@ void td_homography_map(double out[2], const double h[9], double x, double y)
     out[1] = (h[3] * x + h[4] * y + h[5]) / w;
 }
 
+void td_homography_jacobian(double j[4], const double h[9], double x, double y)
+{
+    double w = h[6] * x + h[7] * y + h[8], q[2];
+    td_homography_map(q, h, x, y);
+    for (int i = 0; i < 4; i++) j[i] = (h[3 * (i / 2) + i % 2] - q[i / 2] * h[6 + i % 2]) / w;
+}
+
 bool td_homography_invert(double inverse[9], const double h[9])
 {
     const double a[9] = {h[4] * h[8] - h[5] * h[7], h[2] * h[7] - h[1] * h[8], h[1] * h[5] - h[2] * h[4],
@@ -80,7 +87,8 @@ void td_lattice_trim(td_lattice *lattice)
 
 bool td_lattice_homography(double image_from_lattice[9], const td_lattice *lattice, const td_mark *mark)
 {
-    double *plane = malloc(4 * lattice->count * sizeof *plane), *image = plane + 2 * lattice->count;
+    size_t cells = (size_t)lattice->columns * lattice->rows;
+    double *plane = malloc((4 * cells + 1) * sizeof *plane), *image = plane + 2 * cells;
     if (!plane) return false;
     size_t n = 0;
     for (int r = 0, i = 0; r < lattice->rows; r++) {

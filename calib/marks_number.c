@@ -10,8 +10,8 @@
 
 #include "calib/marks_internal.h"
 
-/* By how many marks a place must beat all others. */
-enum { MARGIN = 2 };
+/* By how many marks a place must beat all others; less when it is the whole of what was seen. */
+enum { MARGIN = 2, MARGIN_EXACT = 1 };
 
 size_t td_marks_needed(const td_target_plane *plane)
 {
@@ -75,7 +75,9 @@ static bool fits(window *w, const td_lattice *l, const td_target_plane *plane)
     *w = (window){0};
     try_windows(w, l, plane->columns, plane->rows);
     if (plane->columns != plane->rows) try_windows(w, l, plane->rows, plane->columns);
-    return w->covered >= td_marks_needed(plane) && w->covered >= w->next + MARGIN && !is_larger(l, w);
+    bool exact = w->columns == l->columns && w->rows == l->rows;
+    size_t margin = exact ? MARGIN_EXACT : MARGIN;
+    return w->covered >= td_marks_needed(plane) && w->covered >= w->next + margin && !is_larger(l, w);
 }
 
 /* Lattice cell of the plane's point (column, row) after `turn` quarter turns. */
@@ -324,9 +326,9 @@ static void number_alike(td_numbering *n, const int *plane, int planes, candidat
     }
     if (!open || !left) return;
     if (left != (size_t)open) {
-        snprintf(n->note, sizeof n->note,
-                 "%zu grids of %dx%d are seen where %d %s expected: clicks can tell which is which", left,
-                 p->columns, p->rows, open, open > 1 ? "are" : "is");
+        snprintf(n->note, sizeof n->note, "%zu grid%s of %dx%d %s seen where %d %s expected: clicks can tell",
+                 left, left > 1 ? "s" : "", p->columns, p->rows, left > 1 ? "are" : "is", open,
+                 open > 1 ? "are" : "is");
         return;
     }
     size_t k = 0;
@@ -337,7 +339,7 @@ static void number_alike(td_numbering *n, const int *plane, int planes, candidat
     }
 }
 
-/* The lattices of free marks at a pitch. */
+/* The lattices of free marks at a pitch, planes cut apart, and without what does not lie on them. */
 static td_status lattices_at(td_lattices *all, const td_numbering *n, double pitch, td_error *error)
 {
     TD_TRY(td_marks_lattices(all, n->mark, n->marks, pitch, error));
@@ -347,18 +349,17 @@ static td_status lattices_at(td_lattices *all, const td_numbering *n, double pit
         for (int k = 0; k < l->columns * l->rows; k++)
             for (size_t j = 0; j < points; j++)
                 if (l->mark[k] >= 0 && n->of_point[j] == l->mark[k]) l->mark[k] = -1;
-        td_status status = td_lattice_discard(l, n->mark, error);
         td_lattice_trim(l);
-        if (status != TD_OK) {
-            td_lattices_free(all);
-            return status;
-        }
     }
-    if (n->target->plane_count > 1 && !cut_lattices(all, n)) {
-        td_lattices_free(all);
-        return td_fail(error, TD_ERROR_MEMORY, "no memory for %zu grids of marks", all->count);
+    td_status status = TD_OK;
+    if (n->target->plane_count > 1 && !cut_lattices(all, n))
+        status = td_fail(error, TD_ERROR_MEMORY, "no memory for %zu grids of marks", all->count);
+    for (size_t i = 0; i < all->count && status == TD_OK; i++) {
+        status = td_lattice_discard(&all->lattice[i], n->mark, error);
+        td_lattice_trim(&all->lattice[i]);
     }
-    return TD_OK;
+    if (status != TD_OK) td_lattices_free(all);
+    return status;
 }
 
 /* Remembers the largest grid for the message, its columns as those that run across the image. */
@@ -408,8 +409,10 @@ td_status td_marks_number(td_numbering *n, const td_click *click, size_t clicks,
         bool any = false, done[TD_TARGET_MAX_PLANES] = {false};
         for (int i = 0; i < t->plane_count; i++) {
             double pitch = pass ? 0 : 2 * t->plane[i].spacing_m / t->diameter_m;
-            if (!n->seen[i] && !done[i]) TD_TRY(number_class(n, i, pitch, click, clicks, error));
-            for (int k = i; k < t->plane_count; k++) done[k] |= same_grid(&t->plane[i], &t->plane[k]);
+            if (!n->seen[i] && !done[i]) {
+                TD_TRY(number_class(n, i, pitch, click, clicks, error));
+                for (int k = i; k < t->plane_count; k++) done[k] |= same_grid(&t->plane[i], &t->plane[k]);
+            }
             any |= n->seen[i];
         }
         if (any) break;

@@ -112,3 +112,80 @@ def write_dataset(folder, yaml, frames):
     with open(os.path.join(folder, "frames.csv"), "w") as file:
         file.write(frames)
     return folder
+
+
+# ---- datasets made of OpenCV's 13 stereo pairs ----
+
+OPENCV_SET = os.path.join(SOURCE, "datasets/opencv-stereo")
+IMAGES = "/usr/share/doc/opencv-doc/examples/data"
+FRAMES = ["01", "02", "03", "04", "05", "06", "07", "08", "09", "11", "12", "13", "14"]
+COLUMNS, ROWS, SPACING = 9, 6, 0.025
+TARGET = "target: {kind: chessboard, columns: 9, rows: 6, spacing_m: 0.025}\n"
+CAMERAS = "cameras:\n  - {name: left, model: brown5}\n  - {name: right, model: brown5}\n"
+TABLE = "frame,left,right\n"
+
+
+def image_set(folder, change=None, root=IMAGES, frames=FRAMES, times=1):
+    """The pairs of `frames`, each so many times; change: {frame: {camera: path}}."""
+    rows = {frame: {"left": f"left{frame}.jpg", "right": f"right{frame}.jpg"} for frame in frames}
+    for frame, images in (change or {}).items():
+        rows.setdefault(frame, {}).update(images)
+    table = TABLE + "".join(f"{k if k else ''}{frame},{row['left']},{row['right']}\n" for k in range(times)
+                            for frame, row in rows.items())
+    return write_dataset(folder, f"name: pairs\nroot: {root}\n{TARGET}{CAMERAS}", table)
+
+
+def points_text(points, cameras=None):
+    """{(frame, camera): {point: (x, y)}} as CSV; cameras: {name: the name it has in `points`}."""
+    cameras = cameras or {name: name for name in sorted({camera for _, camera in points})}
+    lines = ["frame,camera,width_px,height_px,point,x_px,y_px,sigma_px"]
+    for frame in sorted({frame for frame, _ in points}):
+        for camera, source in cameras.items():
+            view = points.get((frame, source), {})
+            lines += [f"{frame},{camera},640,480,{i},{x!r},{y!r},0.05" for i, (x, y) in sorted(view.items())]
+    return "\n".join(lines) + "\n"
+
+
+def points_set(folder, points, text=None, extra="", target=TARGET, cameras=None):
+    """A dataset whose points are given instead of images: those of `points`, or the text itself."""
+    cameras = cameras or {name: name for name in sorted({camera for _, camera in points})}
+    yaml = f"name: points\ncorners: points.csv\n{target}{extra}cameras:\n"
+    yaml += "".join(f"  - {{name: {camera}, model: brown5}}\n" for camera in cameras)
+    frames = sorted({frame for frame, _ in points})
+    write_dataset(folder, yaml, ",".join(["frame", *cameras]) + "\n" +
+                  "".join(frame + "," * len(cameras) + "\n" for frame in frames))
+    with open(os.path.join(folder, "points.csv"), "w") as file:
+        file.write(points_text(points, cameras) if text is None else text)
+    return folder
+
+
+def clean_runs():
+    """What runs without anything wrong give: `images`, the result from images; `points`, the points they found; `result` and
+    `rig`, the result and rig.yaml from those. Ends the tests when they fail."""
+    if not os.path.isdir(IMAGES):
+        skip("opencv-doc is not installed")
+        finish()
+    with tempfile.TemporaryDirectory() as folder:
+        images = calibrate(OPENCV_SET, out=os.path.join(folder, "images"))
+        points = images and read_points(os.path.join(folder, "images/points.csv"))
+        result = images and calibrate(points_set(folder, points), out=os.path.join(folder, "out"))
+        if not result:
+            finish()
+        with open(os.path.join(folder, "out/rig.yaml")) as file:
+            return {"images": images, "points": points, "result": result, "rig": file.read()}
+
+
+def views_of(points, frames):
+    return {key: view for key, view in points.items() if key[0] in frames}
+
+
+def rig_file(folder, text):
+    path = os.path.join(folder, "rig-in.yaml")
+    with open(path, "w") as file:
+        file.write(text)
+    return path
+
+
+def leftovers(folder):
+    """Hidden files: those that are being written."""
+    return [name for name in os.listdir(folder) if name.startswith(".")] if os.path.isdir(folder) else []
