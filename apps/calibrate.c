@@ -113,28 +113,29 @@ static td_status parse_fix(td_calibrate_options *o, const td_dataset *dataset, c
     return td_fail(error, TD_ERROR_ARGUMENT, "--fix %s: the dataset has no camera of that name", text);
 }
 
-/* SHA-256 over what the result depends on: description, frames, and every image's name and bytes. */
+static void hash_text(td_hash *hash, const char *text)
+{
+    td_hash_add(hash, text, strlen(text) + 1);
+}
+
+/* SHA-256 over what the result depends on: the description, and each frame's name and images by their bytes. Where the
+ * images lie does not count. */
 static td_status hash_dataset(char hex[65], const td_dataset *dataset, td_error *error)
 {
     td_hash *hash;
+    char part[65], *path = td_path_join(dataset->folder, "dataset.yaml");
     TD_TRY(td_hash_new(&hash, error));
-    static const char *const files[] = {"dataset.yaml", "frames.csv"};
-    for (size_t i = 0; i < 2; i++) {
-        char *path = td_path_join(dataset->folder, files[i]), *bytes = NULL;
-        size_t size = 0;
-        if (path && td_file_read(&bytes, &size, path, (size_t)64 << 20, NULL) == TD_OK) td_hash_add(hash, bytes, size);
-        free(bytes);
-        free(path);
-    }
-    for (size_t v = 0; v < dataset->frame_count && !dataset->corners; v++)
+    if (path && td_hash_file(part, path, NULL) == TD_OK) hash_text(hash, part);
+    free(path);
+    if (dataset->corners && td_hash_file(part, dataset->corners, NULL) == TD_OK) hash_text(hash, part);
+    for (size_t v = 0; v < dataset->frame_count; v++) {
+        hash_text(hash, dataset->frame[v].name);
+        snprintf(part, sizeof part, "%.17g", dataset->frame[v].height_m);
+        hash_text(hash, part);
         for (int c = 0; c < dataset->camera_count; c++) {
-            char part[65];
-            if (!dataset->frame[v].image[c] || td_hash_file(part, dataset->frame[v].image[c], NULL) != TD_OK) continue;
-            td_hash_add(hash, part, strlen(part));
+            const char *image = dataset->frame[v].image[c];
+            hash_text(hash, image && !dataset->corners && td_hash_file(part, image, NULL) == TD_OK ? part : "");
         }
-    if (dataset->corners) {
-        char part[65];
-        if (td_hash_file(part, dataset->corners, NULL) == TD_OK) td_hash_add(hash, part, strlen(part));
     }
     return td_hash_finish(hex, &hash, error);
 }

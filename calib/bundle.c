@@ -244,14 +244,16 @@ static td_status hold_camera(td_bundle_problem *bp, const td_bundle *bundle, int
     return TD_OK;
 }
 
-/* The rational model's numerator and denominator can grow without end and cancel: a prior far wider than any lens keeps
- * them from it. */
-static td_status add_rational_prior(td_bundle_problem *bp, int block, td_error *error)
+/* Where views leave the distortion open its coefficients would run away (a rational model's numerator and denominator
+ * cancel; a polynomial grows beyond the points): a prior far wider than any lens keeps them from it. */
+static td_status add_distortion_prior(td_bundle_problem *bp, const td_camera *camera, int block, td_error *error)
 {
-    enum { N = 12, FIRST = 4 };
+    enum { FIRST = 4 };
     const double spread = 50;
-    double mean[N] = {0}, weight[N * N] = {0};
-    for (int i = FIRST; i < N; i++) weight[i * (N + 1)] = i == 6 || i == 7 ? 0 : 1 / spread; /* not p1, p2 */
+    int count = td_camera_parameter_count(camera->model);
+    double mean[TD_CAMERA_MAX_PARAMETERS] = {0}, weight[TD_CAMERA_MAX_PARAMETERS * TD_CAMERA_MAX_PARAMETERS] = {0};
+    for (int i = FIRST; i < count; i++)
+        if (td_camera_parameter_name(camera->model, i)[0] == 'k') weight[i * (count + 1)] = 1 / spread;
     return td_problem_add_prior(bp->problem, block, mean, weight, error);
 }
 
@@ -265,8 +267,8 @@ static td_status add_blocks(td_bundle_problem *bp, td_bundle *bundle, td_error *
             active = td_bundle_used(bundle, v, c) > 0;
         TD_TRY(td_problem_add_block(bp->problem, &b->camera[c], camera->camera.parameter,
                                     td_camera_parameter_count(camera->camera.model), TD_VECTOR, false, error));
-        if (camera->camera.model == TD_CAMERA_BROWN8 && active && !(bundle->hold[c] & TD_HOLD_DISTORTION))
-            TD_TRY(add_rational_prior(bp, b->camera[c], error));
+        if (camera->camera.model != TD_CAMERA_PINHOLE && active && !(bundle->hold[c] & TD_HOLD_DISTORTION))
+            TD_TRY(add_distortion_prior(bp, &camera->camera, b->camera[c], error));
         b->pose[c] = -1;
         if (c > 0)
             TD_TRY(td_problem_add_block(bp->problem, &b->pose[c], (double *)&camera->camera_from_rig, 7, TD_POSE, false, error));

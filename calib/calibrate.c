@@ -31,10 +31,10 @@ td_status td_calibrate_options_check(const td_calibrate_options *options, const 
         if (!options->hold[c]) continue;
         const char *name = observations->camera[c].name;
         int k = options->known ? td_rig_find(options->known, name) : -1;
-        if (k < 0) return td_fail(error, TD_ERROR_ARGUMENT, "hold: the given rig has no camera %s to hold", name);
+        if (k < 0) return td_fail(error, TD_ERROR_ARGUMENT, "hold: the given rig has no camera '%s' to hold", name);
         const td_camera *camera = &options->known->camera[k].camera;
         if ((options->hold[c] & (TD_HOLD_INTRINSICS | TD_HOLD_DISTORTION)) && camera->model != observations->camera[c].model)
-            return td_fail(error, TD_ERROR_ARGUMENT, "hold: camera %s is %s in the rig and %s in the dataset", name,
+            return td_fail(error, TD_ERROR_ARGUMENT, "hold: camera '%s' is %s in the rig and %s in the dataset", name,
                            td_camera_model_name(camera->model), td_camera_model_name(observations->camera[c].model));
     }
     return TD_OK;
@@ -205,6 +205,7 @@ static td_status solve(td_bundle *bundle, const td_loss *loss, bool precise, td_
     td_solve_summary summary;
     td_solve_options solve_options = td_solve_options_default();
     solve_options.log = options->log;
+    solve_options.progress = options->progress;
     solve_options.function_tolerance = precise ? 1e-12 : 1e-6;
     bool marks = bundle->observations->target.kind == TD_TARGET_MARKS;
     for (int round = 0; round < (marks ? 3 : 1); round++) {

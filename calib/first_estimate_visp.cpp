@@ -42,7 +42,8 @@ void estimate(double intrinsics[4], double *matrix, const double *point, const d
     for (size_t v = 0; v < views; v++) {
         size_t n = count[v];
         const double *p = point + 3 * first[v], *u = pixel + 2 * first[v];
-        table[v].cMo = pose_of(camera, matrix + 16 * v, p, u, n);
+        // The calibration begins with poses of its own.
+        if (keep_camera) table[v].cMo = pose_of(camera, matrix + 16 * v, p, u, n);
         for (size_t i = 0; i < n; i++) {
             vpImagePoint ip(u[2 * i + 1], u[2 * i]);
             table[v].addPoint(p[3 * i], p[3 * i + 1], p[3 * i + 2], ip);

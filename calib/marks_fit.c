@@ -33,7 +33,7 @@ enum {
 static const double BULGE_PER_PX = 1e-3;
 
 /* Share of the pixels that must be no outliers. */
-static const double LEAST_USED = 0.85;
+static const double LEAST_USED = 0.75;
 
 static const double PI = 3.14159265358979323846;
 

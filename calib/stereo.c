@@ -148,7 +148,7 @@ typedef struct bounds {
     double inner[4], outer[4]; /* x min, x max, y min, y max */
 } bounds;
 
-static bool border_bounds(bounds *b, const td_camera *camera, const td_pose *rectified_from_camera)
+static td_status border_bounds(bounds *b, const td_camera *camera, const td_pose *rectified_from_camera, td_error *error)
 {
     enum { STEPS = 32 };
     const double big = 1e9;
@@ -158,9 +158,16 @@ static bool border_bounds(bounds *b, const td_camera *camera, const td_pose *rec
             double along = (double)i / STEPS, ray[3];
             double pixel[2] = {(side < 2 ? along : side - 2) * (camera->width - 1),
                                (side < 2 ? side : along) * (camera->height - 1)};
-            if (!td_camera_unproject(ray, NULL, NULL, camera, pixel)) return false;
+            if (!td_camera_unproject(ray, NULL, NULL, camera, pixel))
+                return td_fail(error, TD_ERROR_DATA,
+                               "the lens model has no ray for pixel (%.0f, %.0f) of the image's border, its polynomial turns "
+                               "back before it: calibrate with views in which the target reaches the corners",
+                               pixel[0], pixel[1]);
             td_pose_rotate(ray, rectified_from_camera, ray);
-            if (ray[2] < 0.05) return false;
+            if (ray[2] < 0.05)
+                return td_fail(error, TD_ERROR_DATA,
+                               "the field of view is too wide for a rectified (pinhole) image: part of the image's border "
+                               "lies more than 87 degrees off the rectified axis");
             double x = ray[0] / ray[2], y = ray[1] / ray[2];
             b->outer[0] = fmin(b->outer[0], x), b->outer[1] = fmax(b->outer[1], x);
             b->outer[2] = fmin(b->outer[2], y), b->outer[3] = fmax(b->outer[3], y);
@@ -169,7 +176,7 @@ static bool border_bounds(bounds *b, const td_camera *camera, const td_pose *rec
             if (side == 2) b->inner[0] = fmax(b->inner[0], x);
             if (side == 3) b->inner[1] = fmin(b->inner[1], x);
         }
-    return true;
+    return TD_OK;
 }
 
 td_status td_rectify(td_rectification *out, const td_camera *first, const td_camera *second,
@@ -180,10 +187,8 @@ td_status td_rectify(td_rectification *out, const td_camera *first, const td_cam
         return td_fail(error, TD_ERROR_DATA, "the two cameras are at one place: nothing to rectify");
     rectifying_rotations(out, second_from_first);
     bounds a, b;
-    if (!border_bounds(&a, first, &out->rectified_from[0]) || !border_bounds(&b, second, &out->rectified_from[1]))
-        return td_fail(error, TD_ERROR_DATA,
-                       "the field of view is too wide for a rectified (pinhole) image: part of the image's border "
-                       "has no ray within 87 degrees of the rectified axis");
+    TD_TRY(border_bounds(&a, first, &out->rectified_from[0], error));
+    TD_TRY(border_bounds(&b, second, &out->rectified_from[1], error));
     double x[4];
     for (int i = 0; i < 4; i++) {
         double inner = i % 2 ? fmin(a.inner[i], b.inner[i]) : fmax(a.inner[i], b.inner[i]);

@@ -12,7 +12,7 @@
 #include "core/target_internal.h"
 #include "core/text_internal.h"
 
-enum { MAX_FRAMES = 100000, LIST_SIZE = 400 };
+enum { MAX_FRAMES = 100000, MAX_PATH = 4095, LIST_SIZE = 400 };
 
 static const double SMALLEST_BASELINE_M = 1e-4, LARGEST_LENGTH_M = 1e3, LARGEST_TIME_S = 1e12;
 
@@ -265,6 +265,9 @@ static td_status read_frame(td_dataset *d, size_t row, const columns *at, const 
     for (int c = 0; c < d->camera_count; c++) {
         const char *image = td_csv_cell(csv, row, at->image[c]);
         if (!*image) continue;
+        if (strlen(image) > MAX_PATH)
+            return td_csv_fail(csv, row, at->image[c], error, "a name of %zu bytes is no file's; at most %d", strlen(image),
+                               MAX_PATH);
         frame->image[c] = td_path_join(root, image);
         if (!frame->image[c]) return out_of_memory(error);
     }

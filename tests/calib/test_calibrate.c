@@ -209,7 +209,7 @@ static void test_hold(void **state)
     assert_null(held->rig->covariance);
     options.known = NULL;
     td_calibration *none = NULL;
-    check_fails(td_calibrate(&none, o, &options, &error), TD_ERROR_ARGUMENT, error, "no camera left");
+    check_fails(td_calibrate(&none, o, &options, &error), TD_ERROR_ARGUMENT, error, "no camera 'left'");
     td_calibration_free(&held);
     td_calibration_free(&first);
     td_observations_free(&o);
