@@ -146,19 +146,25 @@ static td_status grow_from_clicks(td_lattice *l, const clicked *c, size_t skip, 
     return td_lattice_discard(l, n->mark, error);
 }
 
-/* The number of the click without which the others agree, 0 when there is none. */
+/* Are all clicks but `skip` on the marks that the grid has at their places? */
+static bool keeps(const td_lattice *l, const clicked *c, size_t skip)
+{
+    for (size_t i = 0; i < c->count; i++)
+        if (i != skip && l->mark[c->cell[i]] != c->mark[i]) return false;
+    return true;
+}
+
+/* The number of the click without which the others agree, and agree best; 0 when there is none. */
 static td_status culprit(size_t *number, td_lattice *l, const clicked *c, const td_numbering *n,
                          size_t needed, td_error *error)
 {
+    size_t most = 0;
     *number = 0;
     for (size_t i = 0; i < c->count && c->count > 4; i++) {
         TD_TRY(grow_from_clicks(l, c, i, n, error));
-        if (l->count < needed) continue;
-        if (*number) { /* two such clicks: neither is known to be wrong */
-            *number = 0;
-            return TD_OK;
-        }
-        *number = c->number[i];
+        if (l->count < needed || l->count < most || !keeps(l, c, i)) continue;
+        *number = l->count > most ? c->number[i] : 0; /* of two equal ones neither is known to be wrong */
+        most = l->count;
     }
     return TD_OK;
 }
@@ -170,9 +176,7 @@ static td_status number_plane(td_numbering *n, td_lattice *l, int plane, size_t 
     const size_t needed = td_marks_needed(p), cells = (size_t)p->columns * (size_t)p->rows;
     const bool mirrored = is_mirrored(c, n, p->columns);
     TD_TRY(grow_from_clicks(l, c, SIZE_MAX, n, error));
-    bool kept = true;
-    for (size_t i = 0; i < c->count; i++) kept &= l->mark[c->cell[i]] == c->mark[i];
-    if (kept && !mirrored && l->count >= needed) {
+    if (keeps(l, c, SIZE_MAX) && !mirrored && l->count >= needed) {
         for (size_t i = 0; i < cells; i++) n->of_point[first + i] = l->mark[i];
         n->seen[plane] = true;
         return TD_OK;

@@ -50,11 +50,11 @@ def mrcal_plain(points, frames, folder):
                 for i in range(54):
                     x, y = points[(frame, camera)][i]
                     file.write(f"{camera}{frame}.jpg {x:.12g} {y:.12g} 0\n")
-    printed = subprocess.run(["mrcal-calibrate-cameras", "--corners-cache", vnl, "--lensmodel", "LENSMODEL_OPENCV5", "--focal", "530",
-                    "--imagersize", "640", "480", "--object-spacing", "0.025", "--object-width-n", "9",
-                    "--object-height-n", "6", "--skip-regularization", "--skip-outlier-rejection",
-                    "--skip-calobject-warp-solve", "--outdir", folder, "left*.jpg", "right*.jpg"],
-                             check=True, capture_output=True, text=True).stdout
+    command = ["mrcal-calibrate-cameras", "--corners-cache", vnl, "--lensmodel", "LENSMODEL_OPENCV5", "--focal", "530",
+               "--imagersize", "640", "480", "--object-spacing", "0.025", "--object-width-n", "9", "--object-height-n", "6",
+               "--skip-regularization", "--skip-outlier-rejection", "--skip-calobject-warp-solve", "--outdir", folder,
+               "left*.jpg", "right*.jpg"]
+    printed = subprocess.run(command, check=True, capture_output=True, text=True).stderr
     with open(os.path.join(folder, "camera-1.cameramodel")) as file:
         model = file.read()
     extrinsics = re.search(r"extrinsics'\s*:\s*\[([^]]*)\]", model).group(1)
