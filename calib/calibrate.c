@@ -247,7 +247,7 @@ static bool warp_possible(const td_bundle *bundle)
         views += used;
         if (!isnan(o->height_m[v])) return false;
     }
-    return o->target.plane_count == 1 && views >= 5;
+    return o->target.plane_count == 1 && views >= 4;
 }
 
 /* Adds the warp and, on AUTO, goes back to where it was when the warp is not significant. */

@@ -38,10 +38,13 @@ static const double MOST_RESIDUAL = 0.25, MOST_TURN = 0.3, MOST_SIGMA = 0.5; /* 
 static const double LEAST_CONTRAST = 4;                                      /* grey levels */
 static const double FIRST_STEP = 0.1, LAST_STEP = 5e-3;                      /* at which a fit ends, px */
 
-/* exp(-y) for 0 <= y <= 16, as the 32nd power of a short series: no branch, no table, vector code. */
-static inline float bell(float y)
+/* The lesser of a and 4, for a >= 0, without a branch. */
+static inline float at_most_4(float a) { return 0.5f * (a + 4 - fabsf(a - 4)); }
+
+/* exp(-z^2) for 0 <= z <= 4, as the 32nd power of a short series: no branch, no table, vector code. */
+static inline float bell(float z)
 {
-    float t = y * (1.0f / 32);
+    float t = z * z * (1.0f / 32);
     float e = 1 - t * (1 - t * (1.0f / 2) * (1 - t * (1.0f / 3) * (1 - t * (1.0f / 4))));
     e *= e, e *= e, e *= e, e *= e;
     return e * e;
@@ -50,41 +53,45 @@ static inline float bell(float y)
 /* erf(z), and in *bell_z exp(-z^2); Abramowitz and Stegun 7.1.26, error below 2e-7. */
 static inline float edge(float z, float *bell_z)
 {
-    float a = fabsf(z);
-    a = 0.5f * (a + 4 - fabsf(a - 4)); /* the lesser of a and 4, without a branch */
-    float e = bell(a * a);
+    float a = at_most_4(fabsf(z));
     float t = 1 / (1 + 0.3275911f * a);
-    float p =
-        ((((1.061405429f * t - 1.453152027f) * t + 1.421413741f) * t - 0.284496736f) * t + 0.254829592f) * t;
-    *bell_z = e;
-    return copysignf(1 - p * e, z);
+    float p = ((((1.061405429f * t - 1.453152027f) * t + 1.421413741f) * t - 0.284496736f) * t + 0.254829592f) * t;
+    *bell_z = bell(a);
+    return copysignf(1 - p * *bell_z, z);
 }
 
 void td_corner_model(corner_window *window, const double parameter[N])
 {
+    const double a1 = parameter[CORNER_ANGLE_1], a2 = parameter[CORNER_ANGLE_2];
     const float u = (float)parameter[CORNER_X], v = (float)parameter[CORNER_Y];
-    const float c1 = (float)cos(parameter[CORNER_ANGLE_1]), s1 = (float)sin(parameter[CORNER_ANGLE_1]);
-    const float c2 = (float)cos(parameter[CORNER_ANGLE_2]), s2 = (float)sin(parameter[CORNER_ANGLE_2]);
+    const float c1 = (float)cos(a1), s1 = (float)sin(a1), c2 = (float)cos(a2), s2 = (float)sin(a2);
     const float w = (float)parameter[CORNER_BLUR], mean = (float)parameter[CORNER_MEAN];
     const float half = (float)parameter[CORNER_HALF];
     const float gx = (float)parameter[CORNER_SLOPE_X], gy = (float)parameter[CORNER_SLOPE_Y];
-    const float to_z = 0.70710678f / w,
-                slope = 0.79788456f / w * half; /* 1 / (w sqrt 2); half sqrt(2 / pi) / w */
+    const float to_z = 0.70710678f / w, slope = 0.79788456f / w * half; /* 1 / (w sqrt 2); half sqrt(2 / pi) / w */
+    /* The term of oblique lines: r the cosine between them, t = r / 2. */
+    const float r = c1 * c2 + s1 * s2, t = r / 2, sharp = 1 / (1 - t * t);
+    const float density = 0.63661977f * sqrtf(sharp), r_of_angle = s1 * c2 - c1 * s2; /* 4 / (2 pi) / sqrt(1 - t^2) */
     float(*d)[CORNER_MAX_PIXELS] = window->derivative;
     for (int i = 0; i < window->count; i++) {
         float x = window->x[i] - u, y = window->y[i] - v;
         float d1 = c1 * y - s1 * x, d2 = c2 * y - s2 * x; /* across the lines */
-        float bell_1, bell_2;
-        float e1 = edge(d1 * to_z, &bell_1), e2 = edge(d2 * to_z, &bell_2);
-        float by_d1 = slope * bell_1 * e2, by_d2 = slope * bell_2 * e1;
+        float z1 = d1 * to_z, z2 = d2 * to_z, bell_1, bell_2;
+        float e1 = edge(z1, &bell_1), e2 = edge(z2, &bell_2);
+        float q = (z1 * z1 - 2 * t * z1 * z2 + z2 * z2) * sharp;
+        float f = density * bell(at_most_4(sqrtf(q))), oblique = r * f;
+        float pull = 1.41421356f * to_z * half * oblique * sharp; 
+        float by_d1 = slope * bell_1 * e2 - 1.41421356f * pull * (z1 - t * z2);
+        float by_d2 = slope * bell_2 * e1 - 1.41421356f * pull * (z2 - t * z1);
+        float by_r = half * (f + 0.5f * oblique * sharp * (t + 2 * sharp * ((1 + t * t) * z1 * z2 - t * (z1 * z1 + z2 * z2))));
         window->residual[i] =
-            window->grey[i] - (mean + gx * window->x[i] + gy * window->y[i] + half * e1 * e2);
+            window->grey[i] - (mean + gx * window->x[i] + gy * window->y[i] + half * (e1 * e2 + oblique));
         d[CORNER_X][i] = by_d1 * s1 + by_d2 * s2;
         d[CORNER_Y][i] = -(by_d1 * c1 + by_d2 * c2);
-        d[CORNER_ANGLE_1][i] = -by_d1 * (c1 * x + s1 * y);
-        d[CORNER_ANGLE_2][i] = -by_d2 * (c2 * x + s2 * y);
+        d[CORNER_ANGLE_1][i] = -by_d1 * (c1 * x + s1 * y) - by_r * r_of_angle;
+        d[CORNER_ANGLE_2][i] = -by_d2 * (c2 * x + s2 * y) + by_r * r_of_angle;
         d[CORNER_BLUR][i] = -(by_d1 * d1 + by_d2 * d2) / w;
-        d[CORNER_HALF][i] = e1 * e2;
+        d[CORNER_HALF][i] = e1 * e2 + oblique;
     }
     for (int i = window->count; i % LANES; i++) {
         window->residual[i] = 0;
@@ -372,13 +379,12 @@ bool td_corner_refine(td_corner *corner, const td_image *image, const double sta
     double white, blocked;
     if (!settle(&f, &window, image, start, fabs(cross) / longer)) return false;
     if (!variances(&white, &blocked, &f, &window)) return false;
-    /* d1 grows along the row step and d2 against the column step when the steps are right-handed. */
     *corner = (td_corner){
         .position = {window.origin[0] + f.parameter[CORNER_X], window.origin[1] + f.parameter[CORNER_Y]},
         .sigma = sqrt(blocked),
         .white = sqrt(white),
         .blur = f.parameter[CORNER_BLUR],
-        .contrast = (cross > 0 ? -2 : 2) * f.parameter[CORNER_HALF],
+        .contrast = -2 * f.parameter[CORNER_HALF], /* d1 d2 < 0 between the steps, whatever their sense */
         .residual = residual_of(&f, &window)};
     return fabs(sin(f.parameter[CORNER_ANGLE_1] - angle[0])) < MOST_TURN &&
            fabs(sin(f.parameter[CORNER_ANGLE_2] - angle[1])) < MOST_TURN && corner->sigma < MOST_SIGMA &&

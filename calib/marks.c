@@ -195,9 +195,11 @@ static void tell_missing(char *text, size_t size, const td_numbering *n)
         append(text, size, ", but %s", n->note);
     else if (!n->grid_marks)
         append(text, size, " and no grid among %s", n->marks > 1 ? "them" : "it");
-    else
-        append(text, size, ", %zu of them in a %dx%d grid: %s", n->grid_marks, n->grid_columns, n->grid_rows,
+    else {
+        append(text, size, n->grid_marks == n->marks ? ", all" : ", %zu", n->grid_marks);
+        append(text, size, " of them in a %dx%d grid: %s", n->grid_columns, n->grid_rows,
                n->note[0] ? n->note : objection(n));
+    }
 }
 
 /* What a user should know of a target that was found. */

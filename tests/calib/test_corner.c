@@ -50,6 +50,7 @@ static void refine_all(tally *t, const uint8_t *pixels, const scene *s, double a
         for (int column = 0; column < s->columns; column++) {
             double truth[2], start[2], x[2], y[2];
             scene_corner(truth, s, column, row);
+            if (fmin(truth[0], truth[1]) < 15 || fmax(truth[0], truth[1]) > SIDE - 16) continue;
             for (int k = 0; k < 2; k++) start[k] = truth[k] + away * (2 * td_random_uniform(random) - 1);
             true_steps(x, y, s, column, row);
             td_corner corner;

@@ -533,7 +533,7 @@ static void a_hidden_outer_row_is_not_guessed(void **state)
     assert_false(d.found);
     print_message("%s\n", d.reason);
     assert_non_null(
-        strstr(d.reason, "looked for 6x6 dark marks, saw 30 round marks, 30 of them in a 5x6 grid"));
+        strstr(d.reason, "looked for 6x6 dark marks, saw 30 round marks, all of them in a 5x6 grid"));
     assert_non_null(strstr(d.reason, "outer row"));
     for (size_t i = 0; i < 36; i++) assert_true(d.sigma[i] == 0 && isnan(d.point[2 * i]));
     td_detection_free(&d);
@@ -564,9 +564,9 @@ static void wrong_targets_are_named(void **state)
         bool found;
         const char *words;
     } wrong[6] = {
-        {5, 6, TD_MARK_DARK, 0.018, false, "36 of them in a 6x6 grid: is the target's size right?"},
-        {4, 4, TD_MARK_DARK, 0.018, false, "36 of them in a 6x6 grid: is the target's size right?"},
-        {7, 6, TD_MARK_DARK, 0.018, false, "36 of them in a 6x6 grid: is an outer row hidden"},
+        {5, 6, TD_MARK_DARK, 0.018, false, "all of them in a 6x6 grid: is the target's size right?"},
+        {4, 4, TD_MARK_DARK, 0.018, false, "all of them in a 6x6 grid: is the target's size right?"},
+        {7, 6, TD_MARK_DARK, 0.018, false, "all of them in a 6x6 grid: is an outer row hidden"},
         {6, 6, TD_MARK_LIGHT, 0.018, false, "36 dark marks form such a grid: is the polarity right?"},
         {6, 6, TD_MARK_DARK, 0.010, true, "the marks are about 17.9 mm wide, the target says 10 mm"},
         {6, 6, TD_MARK_ANY, 0.018, true, ""}};
