@@ -17,8 +17,7 @@ static const char *dataset_path;
 static cli_common common;
 static cli_list fixes, gates;
 static const char *rig_path, *clicks_path, *method = "auto", *warp = "auto", *model;
-static bool plain, accept, no_leave_one_out, print_schema;
-static int seed;
+static bool plain, accept, no_leave_one_out;
 
 static const char *const methods[] = {"auto", "homography", "visp", "faugeras-toscani", NULL};
 static const char *const warps[] = {"auto", "on", "off", NULL};
@@ -37,14 +36,8 @@ static cli_option options[] = {
     {.type = CLI_HEADING, .name = "The quality gate"},
     {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
     {CLI_FLAG, "accept", 0, &accept, NULL, "write rig.yaml and end with status 0 even when the gate refuses", 0, 0, NULL},
-    {.type = CLI_HEADING, .name = "Everywhere"},
-    {CLI_STRING, "output", 'o', &common.output, "DIR", "folder for the products: rig.yaml, result.yaml, report.html, points.csv, log.jsonl", 0, 0, NULL},
-    {CLI_FLAG, "json", 0, &common.json, NULL, "the result as JSON on standard output instead of a table", 0, 0, NULL},
-    {CLI_FLAG, "schema", 0, &print_schema, NULL, "list the result's keys with types and units, and end", 0, 0, NULL},
-    {CLI_INT, "threads", 0, &common.threads, "N", "threads; default: one per processor. The products do not depend on it", 0, 256, NULL},
-    {CLI_INT, "seed", 0, &seed, "N", "seed of random numbers (this job draws none)", 0, 2147483647, NULL},
-    {CLI_FLAG, "quiet", 'q', &common.quiet, NULL, "no progress, no warnings", 0, 0, NULL},
-    {CLI_FLAG, "verbose", 'v', &common.verbose, NULL, "say more", 0, 0, NULL},
+    CLI_COMMON_OPTIONS(common, "folder for the products: rig.yaml, result.yaml, report.html, points.csv, log.jsonl",
+                       "this job draws none"),
 };
 
 static cli_command command = {
@@ -300,7 +293,7 @@ int main(int argc, char **argv)
         if (options[i].target == &gates) options[i].help = gate_help();
     int status = cli_parse(&command, argc, argv);
     if (status >= 0) return status;
-    if (print_schema) {
+    if (common.schema) {
         char *text = td_schema_describe(calibrate_schema, calibrate_schema_count);
         if (text) fputs(text, stdout);
         free(text);

@@ -19,21 +19,13 @@ static const char *dataset_path;
 static cli_common common;
 static const char *rig_path, *pair_names;
 static double zoom = 0;
-static int seed;
-static bool print_schema;
 
 static cli_option options[] = {
     {CLI_STRING, "rig", 0, &rig_path, "FILE", "rig.yaml of the cameras (needed)", 0, 0, NULL},
     {CLI_STRING, "pair", 0, &pair_names, "A,B", "which two cameras; default: the rig's first two", 0, 0, NULL},
     {CLI_REAL, "zoom", 0, &zoom, "Z", "0 (default): only what both images fill; 1: all of both, black around", 0, 1, NULL},
-    {.type = CLI_HEADING, .name = "Everywhere"},
-    {CLI_STRING, "output", 'o', &common.output, "DIR", "folder for the images, rig.yaml of the rectified cameras and result.yaml", 0, 0, NULL},
-    {CLI_FLAG, "json", 0, &common.json, NULL, "the result as JSON on standard output", 0, 0, NULL},
-    {CLI_FLAG, "schema", 0, &print_schema, NULL, "list the result's keys with types and units, and end", 0, 0, NULL},
-    {CLI_INT, "threads", 0, &common.threads, "N", "threads; default: one per processor. The products do not depend on it", 0, 256, NULL},
-    {CLI_INT, "seed", 0, &seed, "N", "seed of random numbers (this job draws none)", 0, 2147483647, NULL},
-    {CLI_FLAG, "quiet", 'q', &common.quiet, NULL, "no progress, no warnings", 0, 0, NULL},
-    {CLI_FLAG, "verbose", 'v', &common.verbose, NULL, "say more", 0, 0, NULL},
+    CLI_COMMON_OPTIONS(common, "folder for the images, rig.yaml of the rectified cameras and result.yaml",
+                       "this job draws none"),
 };
 
 static cli_command command = {
@@ -233,7 +225,7 @@ int main(int argc, char **argv)
 {
     int code = cli_parse(&command, argc, argv);
     if (code >= 0) return code;
-    if (print_schema) {
+    if (common.schema) {
         char *text = td_schema_describe(schema, SCHEMA_COUNT);
         if (text) fputs(text, stdout);
         free(text);
