@@ -30,72 +30,113 @@ enum {
     BLOCK_SIDE = 2 * (CORNER_MAX_RADIUS / BLOCK + 1) + 1
 };
 
-static const double FIRST_RADIUS = 6, FIRST_SHARE = 0.2, MOST_FIRST_RADIUS = 12, USUAL_RADIUS = 10,
+static const double FIRST_RADIUS = 6, FIRST_SHARE = 0.13, MOST_FIRST_RADIUS = 12, USUAL_RADIUS = 10,
                     LEAST_RADIUS = 3;   /* px */
 static const double SQUARE_SHARE = 0.6; /* of the distance to the next edge */
 static const double LEAST_BLUR = 0.29;  /* px: that of a pixel itself, 1 / sqrt 12 */
 static const double MOST_RESIDUAL = 0.25, MOST_TURN = 0.3, MOST_SIGMA = 0.5; /* of the contrast; sine; px */
+static const float OBLIQUE_REACH = 4.5f;                                     /* in blurs */
 static const double LEAST_CONTRAST = 4;                                      /* grey levels */
-static const double FIRST_STEP = 0.1, LAST_STEP = 5e-3;                      /* at which a fit ends, px */
+static const double FIRST_STEP = 0.1, LAST_STEP = 0.01;                      /* at which a fit ends, px */
 
-/* The lesser of a and 4, for a >= 0, without a branch. */
-static inline float at_most_4(float a) { return 0.5f * (a + 4 - fabsf(a - 4)); }
-
-/* exp(-z^2) for 0 <= z <= 4, as the 32nd power of a short series: no branch, no table, vector code. */
-static inline float bell(float z)
+/* exp(-y) for y >= 0, not less than exp(-16), as the 32nd power of a short series: no branch, no table,
+ * vector code. */
+static inline float bell(float y)
 {
-    float t = z * z * (1.0f / 32);
+    float t = (y + 16 - fabsf(y - 16)) * (1.0f / 64); /* the lesser of y and 16, over 32 */
     float e = 1 - t * (1 - t * (1.0f / 2) * (1 - t * (1.0f / 3) * (1 - t * (1.0f / 4))));
     e *= e, e *= e, e *= e, e *= e;
     return e * e;
 }
 
-/* erf(z), and in *bell_z exp(-z^2); Abramowitz and Stegun 7.1.26, error below 2e-7. */
+/* erf(z) and, in *bell_z, exp(-z^2); Abramowitz and Stegun 7.1.26, error below 2e-7. */
 static inline float edge(float z, float *bell_z)
 {
-    float a = at_most_4(fabsf(z));
-    float t = 1 / (1 + 0.3275911f * a);
-    float p = ((((1.061405429f * t - 1.453152027f) * t + 1.421413741f) * t - 0.284496736f) * t + 0.254829592f) * t;
-    *bell_z = bell(a);
+    float t = 1 / (1 + 0.3275911f * fabsf(z));
+    float p =
+        ((((1.061405429f * t - 1.453152027f) * t + 1.421413741f) * t - 0.284496736f) * t + 0.254829592f) * t;
+    *bell_z = bell(z * z);
     return copysignf(1 - p * *bell_z, z);
+}
+
+/* What the model needs of its parameters. */
+typedef struct lines {
+    float x, y, c1, s1, c2, s2, blur, mean, half, slope_x, slope_y;
+} lines;
+
+/* Edges as if they crossed at right angles: the product of two. */
+static void crossed_edges(corner_window *window, lines m)
+{
+    const float to_z = 0.70710678f / m.blur;           /* 1 / (w sqrt 2) */
+    const float steep = 0.79788456f / m.blur * m.half; /* half sqrt(2 / pi) / w */
+    float(*d)[CORNER_MAX_PIXELS] = window->derivative;
+    for (int i = 0; i < window->count; i++) {
+        float x = window->x[i] - m.x, y = window->y[i] - m.y;
+        float d1 = m.c1 * y - m.s1 * x, d2 = m.c2 * y - m.s2 * x; /* across the lines */
+        float bell_1, bell_2, e1 = edge(d1 * to_z, &bell_1), e2 = edge(d2 * to_z, &bell_2);
+        float by_d1 = steep * bell_1 * e2, by_d2 = steep * bell_2 * e1;
+        window->residual[i] = window->grey[i] - (m.mean + m.slope_x * window->x[i] +
+                                                 m.slope_y * window->y[i] + m.half * e1 * e2);
+        d[CORNER_X][i] = by_d1 * m.s1 + by_d2 * m.s2;
+        d[CORNER_Y][i] = -(by_d1 * m.c1 + by_d2 * m.c2);
+        d[CORNER_ANGLE_1][i] = -by_d1 * (m.c1 * x + m.s1 * y);
+        d[CORNER_ANGLE_2][i] = -by_d2 * (m.c2 * x + m.s2 * y);
+        d[CORNER_BLUR][i] = -(by_d1 * d1 + by_d2 * d2) / m.blur;
+        d[CORNER_HALF][i] = e1 * e2;
+    }
+}
+
+/* Adds what oblique lines change: with r the cosine of the angle between the lines and p the density of two
+ * normal numbers of correlation r, the blurred product of two signs is E1 E2 + 4 times the integral of p over
+ * r from 0 to r (Plackett 1954), here 4 r p(r / 2). */
+static void oblique_edges(corner_window *window, lines m, int first, int last)
+{
+    const float to_z = 0.70710678f / m.blur, r = m.c1 * m.c2 + m.s1 * m.s2,
+                r_by_angle_2 = m.s1 * m.c2 - m.c1 * m.s2;
+    const float t = r / 2, sharp = 1 / (1 - t * t),
+                density = 0.63661977f * sqrtf(sharp); /* 4 / (2 pi) sqrt … */
+    float(*d)[CORNER_MAX_PIXELS] = window->derivative;
+    for (int i = first; i < last; i++) {
+        float x = window->x[i] - m.x, y = window->y[i] - m.y;
+        float z1 = (m.c1 * y - m.s1 * x) * to_z, z2 = (m.c2 * y - m.s2 * x) * to_z;
+        float zz = z1 * z2, square = z1 * z1 + z2 * z2;
+        float p = density * bell((square - 2 * t * zz) * sharp), e = r * p;
+        float pull = -2 * m.half * e * sharp * to_z;
+        float by_d1 = pull * (z1 - t * z2), by_d2 = pull * (z2 - t * z1);
+        float by_r = m.half * (p + e * sharp * (t / 2 + sharp * ((1 + t * t) * zz - t * square)));
+        window->residual[i] -= m.half * e;
+        d[CORNER_X][i] += by_d1 * m.s1 + by_d2 * m.s2;
+        d[CORNER_Y][i] -= by_d1 * m.c1 + by_d2 * m.c2;
+        d[CORNER_ANGLE_1][i] -= by_d1 * (m.c1 * x + m.s1 * y) + by_r * r_by_angle_2;
+        d[CORNER_ANGLE_2][i] -= by_d2 * (m.c2 * x + m.s2 * y) - by_r * r_by_angle_2;
+        d[CORNER_BLUR][i] -= (by_d1 * z1 + by_d2 * z2) / (m.blur * to_z);
+        d[CORNER_HALF][i] += e;
+    }
 }
 
 void td_corner_model(corner_window *window, const double parameter[N])
 {
     const double a1 = parameter[CORNER_ANGLE_1], a2 = parameter[CORNER_ANGLE_2];
-    const float u = (float)parameter[CORNER_X], v = (float)parameter[CORNER_Y];
-    const float c1 = (float)cos(a1), s1 = (float)sin(a1), c2 = (float)cos(a2), s2 = (float)sin(a2);
-    const float w = (float)parameter[CORNER_BLUR], mean = (float)parameter[CORNER_MEAN];
-    const float half = (float)parameter[CORNER_HALF];
-    const float gx = (float)parameter[CORNER_SLOPE_X], gy = (float)parameter[CORNER_SLOPE_Y];
-    const float to_z = 0.70710678f / w, slope = 0.79788456f / w * half; /* 1 / (w sqrt 2); half sqrt(2 / pi) / w */
-    /* The term of oblique lines: r the cosine between them, t = r / 2. */
-    const float r = c1 * c2 + s1 * s2, t = r / 2, sharp = 1 / (1 - t * t);
-    const float density = 0.63661977f * sqrtf(sharp), r_of_angle = s1 * c2 - c1 * s2; /* 4 / (2 pi) / sqrt(1 - t^2) */
-    float(*d)[CORNER_MAX_PIXELS] = window->derivative;
-    for (int i = 0; i < window->count; i++) {
-        float x = window->x[i] - u, y = window->y[i] - v;
-        float d1 = c1 * y - s1 * x, d2 = c2 * y - s2 * x; /* across the lines */
-        float z1 = d1 * to_z, z2 = d2 * to_z, bell_1, bell_2;
-        float e1 = edge(z1, &bell_1), e2 = edge(z2, &bell_2);
-        float q = (z1 * z1 - 2 * t * z1 * z2 + z2 * z2) * sharp;
-        float f = density * bell(at_most_4(sqrtf(q))), oblique = r * f;
-        float pull = 1.41421356f * to_z * half * oblique * sharp; 
-        float by_d1 = slope * bell_1 * e2 - 1.41421356f * pull * (z1 - t * z2);
-        float by_d2 = slope * bell_2 * e1 - 1.41421356f * pull * (z2 - t * z1);
-        float by_r = half * (f + 0.5f * oblique * sharp * (t + 2 * sharp * ((1 + t * t) * z1 * z2 - t * (z1 * z1 + z2 * z2))));
-        window->residual[i] =
-            window->grey[i] - (mean + gx * window->x[i] + gy * window->y[i] + half * (e1 * e2 + oblique));
-        d[CORNER_X][i] = by_d1 * s1 + by_d2 * s2;
-        d[CORNER_Y][i] = -(by_d1 * c1 + by_d2 * c2);
-        d[CORNER_ANGLE_1][i] = -by_d1 * (c1 * x + s1 * y) - by_r * r_of_angle;
-        d[CORNER_ANGLE_2][i] = -by_d2 * (c2 * x + s2 * y) + by_r * r_of_angle;
-        d[CORNER_BLUR][i] = -(by_d1 * d1 + by_d2 * d2) / w;
-        d[CORNER_HALF][i] = e1 * e2 + oblique;
-    }
+    const lines m = {.x = (float)parameter[CORNER_X],
+                     .y = (float)parameter[CORNER_Y],
+                     .c1 = (float)cos(a1),
+                     .s1 = (float)sin(a1),
+                     .c2 = (float)cos(a2),
+                     .s2 = (float)sin(a2),
+                     .blur = (float)parameter[CORNER_BLUR],
+                     .mean = (float)parameter[CORNER_MEAN],
+                     .half = (float)parameter[CORNER_HALF],
+                     .slope_x = (float)parameter[CORNER_SLOPE_X],
+                     .slope_y = (float)parameter[CORNER_SLOPE_Y]};
+    crossed_edges(window, m);
+    const float reach = OBLIQUE_REACH * m.blur;
+    int first = 0, last = window->count;
+    while (first < last && window->y[first] < m.y - reach) first++;
+    while (last > first && window->y[last - 1] > m.y + reach) last--;
+    oblique_edges(window, m, first, last);
     for (int i = window->count; i % LANES; i++) {
         window->residual[i] = 0;
-        for (int k = 0; k < N; k++) d[k][i] = 0;
+        for (int k = 0; k < N; k++) window->derivative[k][i] = 0;
     }
 }
 

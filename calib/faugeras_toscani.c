@@ -35,10 +35,10 @@ static td_status decompose(double intrinsics[4], double *skew, td_pose *pose, co
     double det = r[0] * (r[4] * r[8] - r[5] * r[7]) - r[1] * (r[3] * r[8] - r[5] * r[6]) +
                  r[2] * (r[3] * r[7] - r[4] * r[6]);
     if (det < 0)
-        return td_fail(error, TD_ERROR_DATA,
-                       "Faugeras-Toscani: the points are seen as in a mirror; check the order of their "
-                       "numbers, and that "
-                       "heights (height_m) grow towards the camera");
+        return td_fail(
+            error, TD_ERROR_DATA,
+            "Faugeras-Toscani: the points are seen as in a mirror; check the order of their numbers, "
+            "and that heights (height_m) grow towards the camera");
     double t[3] = {0, (p[7] - cy * p[11]) / fy, p[11]};
     t[0] = (p[3] - cx * p[11] - s * t[1]) / fx;
     TD_TRY(td_nearest_rotation(nearest, r, error));

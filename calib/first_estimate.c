@@ -94,7 +94,7 @@ static td_camera camera_of_lens(const td_camera *like, const lens *l)
     return camera;
 }
 
-/* The camera with the intrinsics k (fx fy cx cy) that were found in the normalised coordinates of `lens`.
+/* The camera with the intrinsics k (fx fy cx cy) that were found in the normalised coordinates of `through`.
  * Brown's curve r (1 + k1 r^2) stays the same pixels when k1 goes with the square of the focal length. */
 static td_camera camera_through_lens(const td_camera *through, const double k[4])
 {
@@ -183,12 +183,15 @@ static bool on_rail(const td_observations *o, size_t v)
 static void share_rail_pose(td_pose *pose, const bool *has_pose, const td_pose *rail, const seen_points *s,
                             const td_observations *o, const td_camera *camera, double *work)
 {
+    enum { MOST_CANDIDATES = 12 };
     double least = INFINITY;
     td_pose best = td_pose_identity();
-    for (size_t c = 0; c <= s->view_count; c++) {
+    size_t candidates = 0;
+    for (size_t c = s->view_count + 1; c-- > 0 && candidates < MOST_CANDIDATES;) {
         const td_pose *candidate = c < s->view_count ? &pose[c] : rail;
         if (c < s->view_count ? !has_pose[c] || !on_rail(o, c) : !rail) continue;
         size_t n = 0;
+        candidates++;
         for (size_t v = 0; v < s->view_count; v++)
             if (on_rail(o, v)) n += view_errors(work + n, s, v, camera, candidate);
         double cost = quantile(work, n, 0.5);
@@ -350,10 +353,9 @@ static td_status faugeras_toscani_of(double k[4], td_pose *pose, const seen_poin
     return td_faugeras_toscani(NULL, k, NULL, pose, point, xy, n, error);
 }
 
-/* All views of known heights as one target with depth; with `without` below the number of views, but for that
- * one. */
-static td_status try_rail(search *f, const td_camera *through, size_t without, bool *take, double *room,
-                          td_error *error)
+/* All views of known heights as one target with depth, but for view `without` (the number of views: none). */
+static td_status try_rail_without(search *f, size_t without, const td_camera *through, bool *take,
+                                  double *room, td_error *error)
 {
     double k[4];
     td_pose pose;
@@ -361,6 +363,16 @@ static td_status try_rail(search *f, const td_camera *through, size_t without, b
     TD_TRY(faugeras_toscani_of(k, &pose, f->s, take, through, room, error));
     try_intrinsics(f, through, k, &pose);
     return TD_OK;
+}
+
+/* One wrong view spoils them all; it shows when it is left out. */
+static td_status try_rail(search *f, const td_camera *through, bool *take, double *room, td_error *error)
+{
+    size_t views = f->s->view_count;
+    td_status status = try_rail_without(f, views, through, take, room, error);
+    for (size_t v = 0; v < views && f->cost > 0.005 * through->width; v++)
+        if (on_rail(f->o, v)) (void)try_rail_without(f, v, through, take, room, NULL);
+    return status;
 }
 
 /* Each view of a target with depth by itself, and the median of what they say. */
@@ -408,14 +420,10 @@ static td_status camera_by_faugeras_toscani(search *f, bool rail, td_error *erro
     for (size_t i = 0; i < lenses; i++) {
         td_camera through = camera_of_lens(&like, &list[i]);
         td_error *first = i ? NULL : error;
-        td_status own = rail ? try_rail(f, &through, views, take, room, first)
-                             : try_free_views(f, &through, take, room, first);
+        td_status own =
+            rail ? try_rail(f, &through, take, room, first) : try_free_views(f, &through, take, room, first);
         if (!i) status = own;
     }
-    /* A wrong view on the rail shows when it is left out. */
-    td_camera through = isfinite(f->cost) ? f->best : camera_of_lens(&like, &list[0]);
-    for (size_t v = 0; v < views && rail && lenses; v++)
-        if (on_rail(f->o, v)) (void)try_rail(f, &through, v, take, room, NULL);
     free(take);
     free(room);
     if (isfinite(f->cost)) return TD_OK;

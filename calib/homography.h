@@ -12,9 +12,9 @@
 extern "C" {
 #endif
 
-/* image ~ h * plane: the direct linear transform with Hartley's normalisation (Hartley and Zisserman 2004, alg. 4.2).
- * plane, image: (n,2), n >= 4; h: row-major 3x3, unit Frobenius norm. TD_ERROR_DATA when points are too few or
- * (nearly) on a line. */
+/* image ~ h * plane: linear least squares of the algebraic error, normalised and with the noise's share taken off
+ * (projective.c; Hartley and Zisserman 2004, alg. 4.2 without its bias). plane, image: (n,2), n >= 4; h: row-major 3x3,
+ * unit Frobenius norm. TD_ERROR_DATA when points are too few or (nearly) on a line. */
 TD_API td_status td_homography(double h[9], const double *plane, const double *image, size_t n, td_error *error);
 
 /* Focal lengths (px) from >= 1 homographies of a plane in metres, for a principal point that is given: each homography

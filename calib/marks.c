@@ -12,6 +12,8 @@
 
 /* Share by which the marks' diameter may differ from the target's before it is worth a remark. */
 static const double DIAMETER_TOLERANCE = 0.15;
+/* Blur above which, and width below which (px), the message mentions it. */
+static const double BLURRED = 2.5, NARROW = 3;
 
 /* Appends to a text of limited size. */
 TD_PRINTF(3, 4) static void append(char *text, size_t size, const char *format, ...)
@@ -137,19 +139,6 @@ static td_status number_any(td_numbering *n, bool *light, const td_target *targe
 
 /* ---- What is told. ---- */
 
-static int by_value(const void *a, const void *b)
-{
-    double d = *(const double *)a - *(const double *)b;
-    return (d > 0) - (d < 0);
-}
-
-static double median(double *value, size_t n)
-{
-    if (!n) return NAN;
-    qsort(value, n, sizeof *value, by_value);
-    return n % 2 ? value[n / 2] : 0.5 * (value[n / 2 - 1] + value[n / 2]);
-}
-
 static const char *polarity_word(td_mark_polarity polarity)
 {
     return polarity == TD_MARK_DARK ? "dark " : polarity == TD_MARK_LIGHT ? "light " : "";
@@ -180,15 +169,33 @@ static const char *objection(const td_numbering *n)
     return "is an outer row hidden, or is the target's size wrong?";
 }
 
+/* What makes marks hard to find, if it shows. */
+static td_status tell_quality(char *text, size_t size, const td_numbering *n, td_error *error)
+{
+    double *value = malloc((n->marks + 1) * sizeof *value), axes[2];
+    if (!value) return td_fail(error, TD_ERROR_MEMORY, "no memory for %zu marks", n->marks);
+    for (size_t i = 0; i < n->marks; i++) value[i] = n->mark[i].blur;
+    double blur = td_marks_median(value, n->marks);
+    for (size_t i = 0; i < n->marks; i++) {
+        td_mark_axes(axes, &n->mark[i]);
+        value[i] = 2 * axes[0];
+    }
+    double width = td_marks_median(value, n->marks);
+    free(value);
+    if (blur > BLURRED) append(text, size, "; they are blurred by %.1f px", blur);
+    if (width < NARROW) append(text, size, "; they are only %.1f px wide", width);
+    return TD_OK;
+}
+
 /* Why the target was not found. */
-static void tell_missing(char *text, size_t size, const td_numbering *n)
+static td_status tell_missing(char *text, size_t size, const td_numbering *n, td_error *error)
 {
     describe_wanted(text, size, n->target);
     memmove(text + 11, text, strlen(text) + 1 < size - 11 ? strlen(text) + 1 : size - 12);
     memcpy(text, "looked for ", 11);
     if (!n->marks) {
         append(text, size, ", saw no round %smark", polarity_word(n->target->polarity));
-        return;
+        return TD_OK;
     }
     append(text, size, ", saw %zu round mark%s", n->marks, n->marks > 1 ? "s" : "");
     if (n->refused)
@@ -196,10 +203,14 @@ static void tell_missing(char *text, size_t size, const td_numbering *n)
     else if (!n->grid_marks)
         append(text, size, " and no grid among %s", n->marks > 1 ? "them" : "it");
     else {
-        append(text, size, n->grid_marks == n->marks ? ", all" : ", %zu", n->grid_marks);
+        if (n->grid_marks == n->marks)
+            append(text, size, ", all");
+        else
+            append(text, size, ", %zu", n->grid_marks);
         append(text, size, " of them in a %dx%d grid: %s", n->grid_columns, n->grid_rows,
                n->note[0] ? n->note : objection(n));
     }
+    return tell_quality(text, size, n, error);
 }
 
 /* What a user should know of a target that was found. */
@@ -255,7 +266,7 @@ static td_status fill(td_detection *detection, const td_numbering *n, td_error *
         detection->sigma[i] = m->sigma;
         blur[seen++] = m->blur;
     }
-    detection->blur_px = median(blur, seen);
+    detection->blur_px = td_marks_median(blur, seen);
     free(blur);
     detection->found = true;
     return tell_remarks(detection->reason, sizeof detection->reason, n, error);
@@ -272,7 +283,7 @@ static td_status detect(td_detection *detection, td_mark **mark, td_numbering *n
         TD_TRY(td_marks_recover(n, mark, image, error));
         return fill(detection, n, error);
     }
-    tell_missing(detection->reason, sizeof detection->reason, n);
+    TD_TRY(tell_missing(detection->reason, sizeof detection->reason, n, error));
     return hint_polarity(detection->reason, sizeof detection->reason, image, target, error);
 }
 

@@ -25,7 +25,6 @@ typedef struct td_mark {
     double shape[3];        /* a, b, c of a dx^2 + 2 b dx dy + c dy^2 = 1, px^-2 */
     double blur;            /* standard deviation of the edge's blur, with the pixel's own 0.29, px */
     double inside, outside; /* grey levels */
-    double rms;             /* of the fit's residuals, grey levels */
     double sigma;           /* standard deviation of each coordinate of the centre, px */
     double centroid[2];     /* step one's centre of gravity, px */
 } td_mark;

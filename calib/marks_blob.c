@@ -14,6 +14,7 @@ enum {
     MIN_BORDER = 10, /* px: of the least area */
     MIN_AREA = 6,    /* px^2: smaller blobs are noise, and have no shape to speak of */
     NOISE_BINS = 8 * 256,
+    MAX_MAJOR = 1500,  /* px, semi-axis of the largest mark */
     MAX_RADIUS = 1000, /* px, of the largest window */
     SMOOTH_ABOVE = 5,  /* grey levels of noise above which the image is smoothed before it is binarised */
 };
@@ -187,7 +188,7 @@ static bool is_elliptical(const td_blob *blob, const point *edge, size_t n)
     double xx = blob->covariance[0], xy = blob->covariance[1], yy = blob->covariance[2];
     double det = xx * yy - xy * xy, half = 0.5 * (xx + yy), root = sqrt(fmax(half * half - det, 0));
     double minor = 2 * sqrt(fmax(half - root, 0)), major = 2 * sqrt(half + root);
-    if (!(minor > 0.4) || minor < 0.1 * major) return false;
+    if (!(minor > 0.4) || minor < 0.1 * major || major > MAX_MAJOR) return false;
     double sum = 0;
     for (size_t i = 0; i < n; i++) {
         double dx = edge[i].x - 0.5 - blob->centroid[0], dy = edge[i].y - 0.5 - blob->centroid[1];

@@ -98,25 +98,29 @@ void td_mark_fit_free(td_mark_fit *fit)
     free(fit->slot);
     free(fit->pixel);
     free(fit->d_edge);
-    fit->cover = NULL;
-    fit->d_edge = NULL;
-    fit->slot = NULL;
-    fit->pixel = NULL;
-    fit->size = 0;
+    *fit = (td_mark_fit){0};
 }
 
-static bool reserve(td_mark_fit *fit, size_t size)
+static bool reserve_window(td_mark_fit *fit, size_t size)
 {
-    if (size <= fit->size) return true;
-    td_mark_fit_free(fit);
+    if (size <= fit->window_size) return true;
+    free(fit->cover);
+    free(fit->slot);
     fit->cover = malloc(size * sizeof *fit->cover);
     fit->slot = malloc(size * sizeof *fit->slot);
+    fit->window_size = fit->cover && fit->slot ? size : 0;
+    return fit->window_size > 0;
+}
+
+static bool reserve_rows(td_mark_fit *fit, size_t size)
+{
+    if (size <= fit->row_size) return true;
+    free(fit->pixel);
+    free(fit->d_edge);
     fit->pixel = malloc(size * sizeof *fit->pixel);
     fit->d_edge = malloc(size * TD_EDGE_PARAMETERS * sizeof *fit->d_edge);
-    fit->size = size;
-    if (fit->cover && fit->slot && fit->pixel && fit->d_edge) return true;
-    td_mark_fit_free(fit);
-    return false;
+    fit->row_size = fit->pixel && fit->d_edge ? size : 0;
+    return fit->row_size > 0;
 }
 
 /* Symmetric root of a positive matrix (xx, xy, yy): (S + sqrt(det) I) / sqrt(trace + 2 sqrt(det)). */
@@ -165,20 +169,28 @@ static bool choose_pixels(problem *p, double band, double smear, bool *memory)
 {
     if (!place_window(p, band)) return false;
     td_window *w = &p->window;
-    if (!(*memory = reserve(p->fit, (size_t)w->width * w->height))) return false;
+    if (!(*memory = reserve_window(p->fit, (size_t)w->width * w->height))) return false;
+    int *slot = p->fit->slot;
+    w->slot = slot;
     const ellipse e = ellipse_of(p->p);
     p->rows = 0;
     for (int j = 0, i = 0; j < w->height; j++) {
-        const uint8_t *row = p->image->data + (size_t)(w->y0 + j) * p->image->width + w->x0;
         for (int k = 0; k < w->width; k++, i++) {
             double x = w->x0 + k, y = w->y0 + j;
             bool near = is_within(offset_at(&e, x, y), band) && !is_neighbours(p, x, y, 2 * smear);
-            p->fit->slot[i] = near ? p->rows : -1;
-            if (near) p->fit->pixel[p->rows++] = (td_mark_pixel){.index = i, .x = x, .y = y, .grey = row[k]};
+            slot[i] = near ? p->rows++ : -1;
         }
     }
-    w->slot = p->fit->slot;
-    return p->rows > 2 * PARAMETERS;
+    if (p->rows <= 2 * PARAMETERS || !(*memory = reserve_rows(p->fit, (size_t)p->rows))) return false;
+    for (int j = 0, i = 0; j < w->height; j++) {
+        const uint8_t *grey = p->image->data + (size_t)(w->y0 + j) * p->image->width + w->x0;
+        for (int k = 0; k < w->width; k++, i++) {
+            if (slot[i] < 0) continue;
+            p->fit->pixel[slot[i]] =
+                (td_mark_pixel){.index = i, .x = w->x0 + k, .y = w->y0 + j, .grey = grey[k]};
+        }
+    }
+    return true;
 }
 
 static void sum_cost(problem *p)
@@ -220,11 +232,11 @@ static void fill_block(block *b, const problem *p, int first)
 {
     const double *q = p->p, contrast = q[INSIDE] - q[OUTSIDE];
     for (int i = 0; i < LANES; i++) {
-        const td_mark_pixel *px = &p->fit->pixel[first + i];
-        if (first + i >= p->rows || px->outlier) {
+        if (first + i >= p->rows || p->fit->pixel[first + i].outlier) {
             for (int k = 0; k <= PARAMETERS; k++) b->j[k][i] = 0;
             continue;
         }
+        const td_mark_pixel *px = &p->fit->pixel[first + i];
         const float *d = p->fit->d_edge + (size_t)TD_EDGE_PARAMETERS * (first + i);
         double dx = px->x - p->origin[0], dy = px->y - p->origin[1], m = p->fit->cover[px->index];
         double shade = 1 + q[SHADE_X] * dx + q[SHADE_Y] * dy, plain = q[OUTSIDE] + contrast * m;
@@ -309,6 +321,12 @@ static bool confine(problem *p)
            fabs(q[TD_EDGE_E3C]) < 0.2 && fabs(q[TD_EDGE_E3S]) < 0.2;
 }
 
+/* Every so many pixels will do for the first estimate of a large mark. */
+static int start_stride(const td_window *w)
+{
+    return 1 + (w->width + w->height) / 64;
+}
+
 /* Grey levels inside and outside the blob: the mean of its core, the median of a ring around it. */
 static bool start_levels(problem *p)
 {
@@ -316,9 +334,10 @@ static bool start_levels(problem *p)
     double core = 0, count = 0, deepest = DBL_MAX, at_deepest = 0;
     const td_window *w = &p->window;
     const ellipse e = ellipse_of(p->p);
-    for (int j = 0; j < w->height; j++) {
+    const int stride = start_stride(w);
+    for (int j = 0; j < w->height; j += stride) {
         const uint8_t *row = p->image->data + (size_t)(w->y0 + j) * p->image->width + w->x0;
-        for (int i = 0; i < w->width; i++) {
+        for (int i = 0; i < w->width; i += stride) {
             offset o = offset_at(&e, w->x0 + i, w->y0 + j);
             bool edge = is_within(o, 1.5);
             if (o.excess > 0 && !edge && is_within(o, 4) && !is_neighbours(p, w->x0 + i, w->y0 + j, 0.75))
@@ -343,9 +362,10 @@ static bool start_edge(problem *p)
     const td_window *w = &p->window;
     const ellipse e = ellipse_of(p->p);
     double outside = p->p[OUTSIDE], contrast = p->p[INSIDE] - outside;
-    for (int j = 0; j < w->height; j++) {
+    const int stride = start_stride(w);
+    for (int j = 0; j < w->height; j += stride) {
         const uint8_t *row = p->image->data + (size_t)(w->y0 + j) * p->image->width + w->x0;
-        for (int i = 0; i < w->width; i++) {
+        for (int i = 0; i < w->width; i += stride) {
             double x = w->x0 + i - p->origin[0], y = w->y0 + j - p->origin[1];
             offset o = offset_at(&e, w->x0 + i, w->y0 + j);
             bool edge = is_within(o, 2.5);
@@ -358,7 +378,7 @@ static bool start_edge(problem *p)
     if (!(m[0] > 2)) return false;
     double x = m[1] / m[0], y = m[2] / m[0], lambda[2];
     double c[3] = {m[3] / m[0] - x * x, m[4] / m[0] - x * y, m[5] / m[0] - y * y};
-    double blur = sqrt(PI) * across / (2 * PI * sqrt(2 * (c[0] + c[2])));
+    double blur = sqrt(PI) * stride * stride * across / (2 * PI * sqrt(2 * (c[0] + c[2])));
     eigenvalues(lambda, c);
     if (!(lambda[0] > 0.15)) return false;
     blur = fmin(fmax(blur, 0.5), sqrt(0.6 * lambda[0]));
@@ -370,11 +390,20 @@ static bool start_edge(problem *p)
     return true;
 }
 
+/* A uniform ellipse's covariance is B^2 / 4. */
+static void edge_of_blob(double *edge, const td_blob *blob)
+{
+    double c[3];
+    for (int i = 0; i < 3; i++) c[i] = 4 * blob->covariance[i];
+    edge[TD_EDGE_CX] = blob->centroid[0];
+    edge[TD_EDGE_CY] = blob->centroid[1];
+    symmetric_root(edge + TD_EDGE_BXX, c);
+}
+
 static ellipse ellipse_of_blob(const td_blob *blob)
 {
-    double edge[TD_EDGE_PARAMETERS] = {blob->centroid[0], blob->centroid[1]}, c[3];
-    for (int i = 0; i < 3; i++) c[i] = 4 * blob->covariance[i];
-    symmetric_root(edge + TD_EDGE_BXX, c);
+    double edge[TD_EDGE_PARAMETERS];
+    edge_of_blob(edge, blob);
     return ellipse_of(edge);
 }
 
@@ -402,11 +431,9 @@ static void find_neighbours(problem *p, const td_blob *blob, size_t count, size_
 /* The first estimate, from the blob. */
 static bool start(problem *p, const td_blob *blob)
 {
-    double c[3];
-    for (int i = 0; i < 3; i++) c[i] = 4 * blob->covariance[i];
-    symmetric_root(p->p + TD_EDGE_BXX, c);
-    p->p[TD_EDGE_CX] = p->origin[0] = blob->centroid[0];
-    p->p[TD_EDGE_CY] = p->origin[1] = blob->centroid[1];
+    edge_of_blob(p->p, blob);
+    p->origin[0] = blob->centroid[0];
+    p->origin[1] = blob->centroid[1];
     return place_window(p, 4) && start_levels(p) && start_edge(p);
 }
 
@@ -542,7 +569,6 @@ static bool report(td_mark *mark, const problem *p, const td_blob *blob)
         .blur = sqrt(q[TD_EDGE_BLUR] * q[TD_EDGE_BLUR] + 1.0 / 12), /* with the pixel's own */
         .inside = q[INSIDE],
         .outside = q[OUTSIDE],
-        .rms = sqrt(p->cost / p->used),
         .sigma = sqrt(0.5 * variance_of(p) * (inverse[0] + inverse[PARAMETERS + 1])),
         .centroid = {blob->centroid[0], blob->centroid[1]},
     };

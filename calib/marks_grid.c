@@ -140,20 +140,13 @@ static bool find_neighbours(graph *g, double reach)
     return true;
 }
 
-static int by_value(const void *a, const void *b)
-{
-    double d = *(const double *)a - *(const double *)b;
-    return (d > 0) - (d < 0);
-}
-
 /* Median distance to the nearest mark of about the same size. */
 static double typical_pitch(const graph *g)
 {
     int n = 0;
     for (int i = 0; i < g->count; i++)
         if (isfinite(g->node[i].nearest)) g->pair[n++] = g->node[i].nearest;
-    qsort(g->pair, (size_t)n, sizeof *g->pair, by_value);
-    return n ? g->pair[n / 2] : 0;
+    return n ? td_marks_median(g->pair, (size_t)n) : 0;
 }
 
 /* u turned back by k right angles. */

@@ -9,10 +9,6 @@
 
 #include "calib/marks.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 /* ---- Step one: binarise; a blob is a region of the binary image with its holes filled. ---- */
 
 typedef struct td_blob {
@@ -84,9 +80,10 @@ typedef struct td_mark_fit {
     double noise;         /* of the image, grey levels */
     float *cover;         /* (pixels of the window) */
     int *slot;            /* (pixels of the window) */
+    size_t window_size;   /* of these two */
     td_mark_pixel *pixel; /* (slots) */
     float *d_edge;        /* (slots,8) */
-    size_t size;          /* of all of these */
+    size_t row_size;      /* of these two */
 } td_mark_fit;
 void td_mark_fit_init(td_mark_fit *fit, const td_image *image);
 void td_mark_fit_free(td_mark_fit *fit);
@@ -131,6 +128,9 @@ bool td_lattice_homography(double image_from_lattice[9], const td_lattice *latti
  * the mark's area. False when there are too few neighbours. */
 bool td_lattice_predict(double value[3], const td_lattice *lattice, const td_mark *mark,
                         const double lattice_from_image[9], int column, int row);
+
+/* Sorts; NaN of none. */
+double td_marks_median(double *value, size_t n);
 
 /* Image of (x, y) by a homography, its derivatives (row-major 2x2), and the inverse; false when there is
  * none. */
@@ -178,7 +178,4 @@ td_lattice td_numbered_plane(const td_numbering *numbering, int plane, size_t *f
  * unknown. */
 td_status td_numbered_diameter(double *diameter, const td_numbering *numbering, int plane, td_error *error);
 
-#ifdef __cplusplus
-}
-#endif
 #endif

@@ -6,7 +6,7 @@
 #include "calib/marks_internal.h"
 #include "core/linalg.h"
 
-enum { LINEAR = 3, QUADRATIC = 6 };
+enum { LINEAR = 3, QUADRATIC = 6, SUSPECTS = 5 };
 
 /* How far a mark may lie from where its neighbours say, in lattice units: six times the median of the
  * lattice, which grows with distortion, but no less than LEAST_OFF and no more than MOST_OFF. A mark half
@@ -16,9 +16,19 @@ static const double OFF_MEDIANS = 6, LEAST_OFF = 0.02, MOST_OFF = 0.1, LINEAR_FA
 /* The same for the logarithm of the area, which is known less well when the blur is not small against the
  * mark. */
 static const double OFF_AREA = 0.15, OFF_AREA_BLUR = 0.5;
-/* A mark fits worse than the others of its lattice when its residuals, as a share of its contrast, exceed the
- * median by this factor and offset: dirt lies on it, or a shadow's edge. */
-static const double WORSE_FACTOR = 2, WORSE_OFFSET = 0.01;
+
+static int by_value(const void *a, const void *b)
+{
+    double d = *(const double *)a - *(const double *)b;
+    return (d > 0) - (d < 0);
+}
+
+double td_marks_median(double *value, size_t n)
+{
+    if (!n) return NAN;
+    qsort(value, n, sizeof *value, by_value);
+    return n % 2 ? value[n / 2] : 0.5 * (value[n / 2 - 1] + value[n / 2]);
+}
 
 void td_mark_axes(double axes[2], const td_mark *mark)
 {
@@ -161,12 +171,6 @@ static double distance_off(double *area, const td_lattice *lattice, const td_mar
     return hypot(seen[0] - value[0], seen[1] - value[1]) / factor;
 }
 
-static int by_value(const void *a, const void *b)
-{
-    double d = *(const double *)a - *(const double *)b;
-    return (d > 0) - (d < 0);
-}
-
 /* `off` (rows,columns) = the share of what is allowed, 0 where no mark is; `room` of that size. Returns the
  * sum of what is too much. */
 static double shares_off(double *off, double *room, const td_lattice *lattice, const td_mark *mark)
@@ -183,8 +187,7 @@ static double shares_off(double *off, double *room, const td_lattice *lattice, c
             if (area > 1) off[i] = fmax(off[i], MOST_OFF * area);
         }
     }
-    qsort(room, n, sizeof *room, by_value);
-    double allowed = n ? fmin(fmax(OFF_MEDIANS * room[n / 2], LEAST_OFF), MOST_OFF) : 1;
+    double allowed = fmin(fmax(OFF_MEDIANS * td_marks_median(room, n), LEAST_OFF), MOST_OFF);
     for (int i = 0; i < lattice->rows * lattice->columns; i++) {
         off[i] /= allowed;
         sum += fmax(off[i] - 1, 0);
@@ -199,25 +202,14 @@ bool td_lattice_predict(double value[3], const td_lattice *lattice, const td_mar
            fit_neighbours(value, lattice, mark, lattice_from_image, column, row, LINEAR);
 }
 
-static double misfit(const td_mark *mark)
+/* The mark that is farthest off among those not tried yet, -1: none. Its `off` is cleared. */
+static int take_worst(double *off, const td_lattice *lattice)
 {
-    return mark->rms / fabs(mark->inside - mark->outside);
-}
-
-static void discard_misfits(td_lattice *lattice, const td_mark *mark, double *room)
-{
-    size_t n = 0;
-    int cells = lattice->columns * lattice->rows;
-    for (int i = 0; i < cells; i++)
-        if (lattice->mark[i] >= 0) room[n++] = misfit(&mark[lattice->mark[i]]);
-    qsort(room, n, sizeof *room, by_value);
-    for (int i = 0; i < cells; i++) {
-        if (lattice->mark[i] < 0 ||
-            misfit(&mark[lattice->mark[i]]) <= WORSE_FACTOR * room[n / 2] + WORSE_OFFSET)
-            continue;
-        lattice->mark[i] = -1;
-        lattice->count--;
-    }
+    int worst = -1;
+    for (int i = 0; i < lattice->columns * lattice->rows; i++)
+        if (off[i] > 1 && (worst < 0 || off[i] > off[worst])) worst = i;
+    if (worst >= 0) off[worst] = 0;
+    return worst;
 }
 
 td_status td_lattice_discard(td_lattice *lattice, const td_mark *mark, td_error *error)
@@ -225,15 +217,15 @@ td_status td_lattice_discard(td_lattice *lattice, const td_mark *mark, td_error 
     size_t cells = (size_t)lattice->columns * lattice->rows;
     double *off = malloc((3 * cells + 1) * sizeof *off), *other = off + cells, *room = other + cells;
     if (!off) return td_fail(error, TD_ERROR_MEMORY, "no memory for a grid of %zu marks", cells);
-    discard_misfits(lattice, mark, room);
     while (shares_off(off, room, lattice, mark) > 0) {
-        /* A wrong mark spoils its neighbours' predictions: the one without which the rest agrees best is it.
-         */
+        /* A wrong mark spoils its neighbours' predictions: of the worst, the one without which the rest
+         * agrees best. */
         int culprit = -1;
         double least = INFINITY;
-        for (int i = 0; i < lattice->rows * lattice->columns; i++) {
+        for (int k = 0; k < SUSPECTS; k++) {
+            int i = take_worst(off, lattice);
+            if (i < 0) break;
             int m = lattice->mark[i];
-            if (off[i] <= 1) continue;
             lattice->mark[i] = -1;
             double without = shares_off(other, room, lattice, mark);
             lattice->mark[i] = m;

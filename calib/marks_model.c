@@ -27,7 +27,7 @@ static const double NODE_STEP = 1.5;
 /* More than any edge lies outside its window. */
 enum { BEYOND = 1 << 20 };
 
-enum { MAX_KERNEL = 2 * (4 * TD_MARK_MAX_BLUR + 1) + 2, MIN_NODES = 16, MAX_NODES = 8192 };
+enum { MAX_KERNEL = 2 * (4 * TD_MARK_MAX_BLUR + 1) + 2, MIN_NODES = 16, MAX_NODES = 1 << 15 };
 
 void td_normal_table_init(td_normal_table *table)
 {

@@ -326,8 +326,9 @@ static void number_alike(td_numbering *n, const int *plane, int planes, candidat
     }
     if (!open || !left) return;
     if (left != (size_t)open) {
-        snprintf(n->note, sizeof n->note, "%zu grid%s of %dx%d %s seen where %d %s expected: clicks can tell which",
-                 left, left > 1 ? "s" : "", p->columns, p->rows, left > 1 ? "are" : "is", open,
+        snprintf(n->note, sizeof n->note,
+                 "%zu grid%s of %dx%d %s seen where %d %s expected: clicks can tell which", left,
+                 left > 1 ? "s" : "", p->columns, p->rows, left > 1 ? "are" : "is", open,
                  open > 1 ? "are" : "is");
         return;
     }

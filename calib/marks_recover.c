@@ -18,18 +18,11 @@ td_lattice td_numbered_plane(const td_numbering *n, int plane, size_t *first)
     return l;
 }
 
-static int by_value(const void *a, const void *b)
-{
-    double d = *(const double *)a - *(const double *)b;
-    return (d > 0) - (d < 0);
-}
-
 td_status td_numbered_diameter(double *diameter, const td_numbering *n, int plane, td_error *error)
 {
     size_t first, count = 0;
     td_lattice l = td_numbered_plane(n, plane, &first);
     double h[9], *value = malloc((l.count + 1) * sizeof *value);
-    *diameter = NAN;
     if (!value) return td_fail(error, TD_ERROR_MEMORY, "no memory for %zu marks", l.count);
     bool ok = td_lattice_homography(h, &l, n->mark);
     for (int i = 0; ok && i < l.columns * l.rows; i++) {
@@ -39,8 +32,7 @@ td_status td_numbered_diameter(double *diameter, const td_numbering *n, int plan
         td_mark_axes(axes, &n->mark[l.mark[i]]);
         value[count++] = 2 * sqrt(axes[0] * axes[1] / fabs(j[0] * j[3] - j[1] * j[2]));
     }
-    qsort(value, count, sizeof *value, by_value);
-    if (count) *diameter = value[count / 2];
+    *diameter = td_marks_median(value, count);
     free(value);
     return TD_OK;
 }

@@ -88,10 +88,14 @@ static td_status add_click(td_image_clicks *all, size_t *count, const td_csv *cs
     }
     if (all[i].count == TD_MAX_CLICKS)
         return td_csv_fail(csv, row, column[0], error, "more than %d clicks on %s", TD_MAX_CLICKS, image);
-    td_click *click = &all[i].click[all[i].count++];
+    td_click *click = &all[i].click[all[i].count];
     int mark;
     TD_TRY(td_csv_int(&mark, csv, row, column[1], 0, 1000000, error));
     click->index = (size_t)mark;
+    for (size_t k = 0; k < all[i].count; k++)
+        if (all[i].click[k].index == click->index)
+            return td_csv_fail(csv, row, column[1], error, "mark %d of %s is given twice", mark, image);
+    all[i].count++;
     TD_TRY(td_csv_real(&click->pixel[0], csv, row, column[2], -1e6, 1e6, error));
     return td_csv_real(&click->pixel[1], csv, row, column[3], -1e6, 1e6, error);
 }
@@ -103,11 +107,11 @@ static td_status clicks_from_csv(td_image_clicks **clicks, size_t *count, const 
     TD_TRY(need_columns(column, csv, names, 4, error));
     td_image_clicks *all = calloc(csv->rows + 1, sizeof *all);
     if (!all) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for %zu clicks", csv->name, csv->rows);
-    *count = 0;
     for (size_t row = 0; row < csv->rows; row++) {
         td_status status = add_click(all, count, csv, row, column, error);
         if (status != TD_OK) {
             free(all);
+            *count = 0;
             return status;
         }
     }
@@ -120,6 +124,7 @@ td_status td_clicks_parse(td_image_clicks **clicks, size_t *count, const char *t
 {
     td_csv *csv;
     *clicks = NULL;
+    *count = 0;
     TD_TRY(td_csv_parse(&csv, text, size, name, error));
     td_status status = clicks_from_csv(clicks, count, csv, error);
     td_csv_free(&csv);
@@ -130,6 +135,7 @@ td_status td_clicks_read(td_image_clicks **clicks, size_t *count, const char *pa
 {
     td_csv *csv;
     *clicks = NULL;
+    *count = 0;
     TD_TRY(td_csv_read(&csv, path, error));
     td_status status = clicks_from_csv(clicks, count, csv, error);
     td_csv_free(&csv);
@@ -229,24 +235,41 @@ td_status td_points_read(td_observations *o, const char *path, td_error *error)
     return status;
 }
 
+/* A cell as td_csv_parse reads it back: in quotes where the text would be taken apart, trimmed or for a comment. */
+static size_t write_cell(char *out, const char *text)
+{
+    size_t length = strlen(text), n = 0;
+    bool plain = length && !strpbrk(text, ",\"\r\n") && !strchr("# \t", text[0]) && !strchr(" \t", text[length - 1]);
+    if (!plain) out[n++] = '"';
+    for (; *text; text++) {
+        if (*text == '"') out[n++] = '"';
+        out[n++] = *text;
+    }
+    if (!plain) out[n++] = '"';
+    out[n] = 0;
+    return n;
+}
+
 td_status td_observations_write(const td_observations *o, const char *comment, const char *path, td_error *error)
 {
-    enum { ROW = 2 * TD_NAME_SIZE + 5 * TD_NUMBER_SIZE };
+    enum { CELL = 2 * TD_NAME_SIZE + 2, ROW = 2 * CELL + 6 * TD_NUMBER_SIZE };
     size_t points = td_target_point_count(&o->target), length = 0;
     size_t most = 512 + (comment ? strlen(comment) : 0) + o->view_count * (size_t)o->camera_count * points * ROW;
     char *text = malloc(most), x[TD_NUMBER_SIZE], y[TD_NUMBER_SIZE], s[TD_NUMBER_SIZE];
     if (!text) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for the points", path);
-    if (comment) length += (size_t)snprintf(text, most, "# %s\n", comment);
+    if (comment) length += (size_t)snprintf(text, most, "# %.*s\n", (int)strcspn(comment, "\r\n"), comment);
     for (int i = 0; i < POINT_COLUMNS; i++)
         length += (size_t)snprintf(text + length, most - length, "%s%s", point_columns[i], i + 1 < POINT_COLUMNS ? "," : "\n");
     for (size_t v = 0; v < o->view_count; v++)
         for (int c = 0; c < o->camera_count; c++) {
             const td_detection *d = td_observations_get(o, v, c);
             for (size_t p = 0; p < points && d->found; p++) {
-                if (!isfinite(d->point[2 * p])) continue;
-                length += (size_t)snprintf(text + length, most - length, "%s,%s,%d,%d,%zu,%s,%s,%s\n", o->view_name[v],
-                                           o->camera[c].name, o->camera[c].width, o->camera[c].height, p,
-                                           td_number_format(x, d->point[2 * p], 0),
+                if (!isfinite(d->point[2 * p]) || !isfinite(d->point[2 * p + 1])) continue;
+                length += write_cell(text + length, o->view_name[v]);
+                text[length++] = ',';
+                length += write_cell(text + length, o->camera[c].name);
+                length += (size_t)snprintf(text + length, most - length, ",%d,%d,%zu,%s,%s,%s\n", o->camera[c].width,
+                                           o->camera[c].height, p, td_number_format(x, d->point[2 * p], 0),
                                            td_number_format(y, d->point[2 * p + 1], 0), td_number_format(s, d->sigma[p], 0));
             }
         }
@@ -265,11 +288,16 @@ typedef struct observe_work {
     int (*size)[2];            /* (views,cameras) of each image, 0: none */
 } observe_work;
 
+/* Those whose image is the path's end, whole names only: "01.png", or "left/01.png" where folders tell cameras apart. */
 static const td_image_clicks *clicks_of(const td_observe_options *options, const char *path)
 {
-    const char *name = strrchr(path, '/') ? strrchr(path, '/') + 1 : path;
-    for (size_t i = 0; i < options->click_count; i++)
-        if (strcmp(options->clicks[i].image, name) == 0) return &options->clicks[i];
+    size_t length = strlen(path);
+    for (size_t i = 0; i < options->click_count; i++) {
+        const char *image = options->clicks[i].image;
+        size_t n = strlen(image);
+        if (n > length || strcmp(path + length - n, image) != 0) continue;
+        if (n == length || path[length - n - 1] == '/') return &options->clicks[i];
+    }
     return NULL;
 }
 

@@ -38,7 +38,7 @@ TD_API size_t td_observations_seen(const td_observations *observations, size_t v
 
 /* A person's numbering of marks, for one image. */
 typedef struct td_image_clicks {
-    char image[256]; /* file name, without folder */
+    char image[256]; /* file name, with as many of its folders as tell it from others */
     td_click click[TD_MAX_CLICKS];
     size_t count;
 } td_image_clicks;

@@ -83,39 +83,58 @@ static bool midpoint(double point[3], const double ray1[3], const double ray2[3]
     return s > 0 && u > 0;
 }
 
+/* Gauss-Newton's step from x for the squared reprojection error in both images. */
+static bool triangulation_step(double step[3], const double x[3], const td_camera *first, const td_camera *second,
+                               const td_pose *second_from_first, const double pixel1[2], const double pixel2[2])
+{
+    double j[12], r[4], u[2], d[6], y[3], r2[9], normal[9] = {0}, right[3] = {0};
+    if (!td_camera_project(u, j, NULL, first, x)) return false;
+    r[0] = pixel1[0] - u[0], r[1] = pixel1[1] - u[1];
+    td_pose_transform(y, second_from_first, x);
+    if (!td_camera_project(u, d, NULL, second, y)) return false;
+    r[2] = pixel2[0] - u[0], r[3] = pixel2[1] - u[1];
+    td_pose_rotation(r2, second_from_first);
+    td_multiply(j + 6, d, r2, 2, 3, 3);
+    for (int row = 0; row < 4; row++)
+        for (int a = 0; a < 3; a++) {
+            right[a] += j[3 * row + a] * r[row];
+            for (int b = 0; b < 3; b++) normal[3 * a + b] += j[3 * row + a] * j[3 * row + b];
+        }
+    if (td_invert_spd(normal, normal, 3, NULL) != TD_OK) return false;
+    for (int a = 0; a < 3; a++)
+        step[a] = normal[3 * a] * right[0] + normal[3 * a + 1] * right[1] + normal[3 * a + 2] * right[2];
+    return true;
+}
+
+static double dot3(const double *a, const double *b)
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
 bool td_triangulate_pair(double point[3], const td_camera *first, const td_camera *second,
                          const td_pose *second_from_first, const double pixel1[2], const double pixel2[2])
 {
-    double ray1[3], ray2[3], x[3], r2[9];
+    enum { MOST_STEPS = 20 }; /* 4 are usual; a point so far that the noise reaches its parallax takes more */
+    double ray1[3], ray2[3], x[3], step[3], behind[3];
     if (!td_camera_unproject(ray1, NULL, NULL, first, pixel1)) return false;
     if (!td_camera_unproject(ray2, NULL, NULL, second, pixel2)) return false;
     td_pose first_from_second = td_pose_inverse(second_from_first);
     td_pose_rotate(ray2, &first_from_second, ray2);
     if (!midpoint(x, ray1, ray2, first_from_second.t)) return false;
-    td_pose_rotation(r2, second_from_first);
-    for (int iteration = 0; iteration < 3; iteration++) {
-        double j[12], r[4], u[2], d[6], y[3], normal[9] = {0}, right[3] = {0};
-        if (!td_camera_project(u, j, NULL, first, x)) return false;
-        r[0] = pixel1[0] - u[0], r[1] = pixel1[1] - u[1];
-        td_pose_transform(y, second_from_first, x);
-        if (!td_camera_project(u, d, NULL, second, y)) return false;
-        r[2] = pixel2[0] - u[0], r[3] = pixel2[1] - u[1];
-        td_multiply(j + 6, d, r2, 2, 3, 3);
-        for (int row = 0; row < 4; row++)
-            for (int a = 0; a < 3; a++) {
-                right[a] += j[3 * row + a] * r[row];
-                for (int b = 0; b < 3; b++) normal[3 * a + b] += j[3 * row + a] * j[3 * row + b];
-            }
-        if (td_invert_spd(normal, normal, 3, NULL) != TD_OK) return false;
-        for (int a = 0; a < 3; a++)
-            x[a] += normal[3 * a] * right[0] + normal[3 * a + 1] * right[1] + normal[3 * a + 2] * right[2];
+    for (int i = 0; i < MOST_STEPS; i++) {
+        if (!triangulation_step(step, x, first, second, second_from_first, pixel1, pixel2)) return false;
+        for (int k = 0; k < 3; k++) x[k] += step[k];
+        if (dot3(step, step) <= 1e-16 * dot3(x, x)) break;
     }
+    for (int k = 0; k < 3; k++) behind[k] = x[k] - first_from_second.t[k];
+    if (!(dot3(x, ray1) > 0 && dot3(behind, ray2) > 0)) return false;
     memcpy(point, x, sizeof x);
     return true;
 }
 
-/* Turns both cameras half-way towards each other, then the common frame onto the baseline. */
-static void rectifying_rotations(td_rectification *out, const td_pose *second_from_first)
+/* Turns both cameras half-way towards each other, then the common frame onto the baseline. False when that takes more than
+ * 60 degrees: then the cameras look along the baseline rather than across it. */
+static bool rectifying_rotations(td_rectification *out, const td_pose *second_from_first)
 {
     double omega[3], half[3], t[3];
     td_rotation_log(omega, second_from_first->q);
@@ -140,6 +159,7 @@ static void rectifying_rotations(td_rectification *out, const td_pose *second_fr
     out->rectified_from[0] = td_pose_compose(&onto, &turn_first);
     out->rectified_from[1] = td_pose_compose(&onto, &turn_second);
     out->baseline_m = -sign * length;
+    return direction[axis] > 0.5;
 }
 
 /* Bounds, in normalised rectified coordinates, of what a camera sees: the largest rectangle inside its border's image
@@ -185,7 +205,10 @@ td_status td_rectify(td_rectification *out, const td_camera *first, const td_cam
     if (!(zoom >= 0 && zoom <= 1)) return td_fail(error, TD_ERROR_ARGUMENT, "zoom: %g is not between 0 and 1", zoom);
     if (!(td_pose_distance(second_from_first) > 0))
         return td_fail(error, TD_ERROR_DATA, "the two cameras are at one place: nothing to rectify");
-    rectifying_rotations(out, second_from_first);
+    if (!rectifying_rotations(out, second_from_first))
+        return td_fail(error, TD_ERROR_DATA,
+                       "one camera is ahead of the other: where they look along the line between them there is nothing to "
+                       "rectify");
     bounds a, b;
     TD_TRY(border_bounds(&a, first, &out->rectified_from[0], error));
     TD_TRY(border_bounds(&b, second, &out->rectified_from[1], error));
@@ -200,7 +223,7 @@ td_status td_rectify(td_rectification *out, const td_camera *first, const td_cam
     out->camera = (td_camera){.model = TD_CAMERA_PINHOLE, .width = first->width, .height = first->height};
     /* zoom 0: the rectangle fills the image; 1: it fits into it. */
     double fx = (first->width - 1) / (x[1] - x[0]), fy = (first->height - 1) / (x[3] - x[2]);
-    double f = zoom > 0.5 ? fmin(fx, fy) : fmax(fx, fy);
+    double f = fmax(fx, fy) + zoom * (fmin(fx, fy) - fmax(fx, fy));
     out->camera.parameter[0] = out->camera.parameter[1] = f;
     out->camera.parameter[2] = (first->width - 1) / 2.0 - f * (x[0] + x[1]) / 2;
     out->camera.parameter[3] = (first->height - 1) / 2.0 - f * (x[2] + x[3]) / 2;
@@ -212,7 +235,24 @@ typedef struct remap {
     const td_image *image;
     const td_camera *camera, *rectified;
     td_pose camera_from_rectified;
+    double edge; /* cosine of the largest angle off the axis that the image holds */
 } remap;
+
+/* A distortion's polynomial may turn back outside of the image and map directions into it that the lens never saw there;
+ * they lie farther off the axis than all of the image's border. */
+static double edge_cosine(const td_camera *camera)
+{
+    enum { STEPS = 32 };
+    double least = 1, ray[3];
+    for (int side = 0; side < 4; side++)
+        for (int i = 0; i <= STEPS; i++) {
+            double along = (double)i / STEPS;
+            double pixel[2] = {(side < 2 ? along : side - 2) * camera->width - 0.5,
+                               (side < 2 ? side : along) * camera->height - 0.5};
+            if (td_camera_unproject(ray, NULL, NULL, camera, pixel)) least = fmin(least, ray[2]);
+        }
+    return least;
+}
 
 static void remap_row(size_t row, void *user)
 {
@@ -222,8 +262,9 @@ static void remap_row(size_t row, void *user)
     uint8_t *to = m->out->data + row * (size_t)m->out->width * (size_t)channels;
     for (int column = 0; column < m->out->width; column++, to += channels) {
         double ray[3] = {(column - p[2]) / p[0], ((double)row - p[3]) / p[1], 1}, pixel[2];
+        double length = sqrt(dot3(ray, ray));
         td_pose_rotate(ray, &m->camera_from_rectified, ray);
-        if (!td_camera_project(pixel, NULL, NULL, m->camera, ray)) continue;
+        if (ray[2] < m->edge * length || !td_camera_project(pixel, NULL, NULL, m->camera, ray)) continue;
         if (!(pixel[0] >= -0.5 && pixel[0] <= m->image->width - 0.5 && pixel[1] >= -0.5 &&
               pixel[1] <= m->image->height - 0.5))
             continue;
@@ -238,6 +279,11 @@ td_status td_rectify_image(td_image **out, const td_image *image, const td_recti
         return td_fail(error, TD_ERROR_DATA, "the image is %dx%d px, its camera was calibrated at %dx%d", image->width,
                        image->height, camera->width, camera->height);
     TD_TRY(td_image_new(out, rectification->camera.width, rectification->camera.height, image->channels, error));
-    remap m = {*out, image, camera, &rectification->camera, td_pose_inverse(&rectification->rectified_from[index])};
+    remap m = {*out,
+               image,
+               camera,
+               &rectification->camera,
+               td_pose_inverse(&rectification->rectified_from[index]),
+               edge_cosine(camera)};
     return td_parallel_for((size_t)(*out)->height, threads, remap_row, &m, NULL, NULL);
 }

@@ -44,7 +44,8 @@ typedef struct td_rectification {
 
 /* Epipolar lines become rows (or, for cameras one above the other, columns): each camera is turned by half of their
  * relative rotation, then both so that x (y) lies along the baseline. `zoom` 0: only pixels that both images fill;
- * 1: all pixels of both. Size and mean focal length stay those of the first camera unless zoomed. */
+ * 1: all pixels of both; the focal length follows. The size stays the first camera's. Refused where the field is too wide
+ * for a pinhole, or where one camera is ahead of the other. */
 TD_API td_status td_rectify(td_rectification *rectification, const td_camera *first, const td_camera *second,
                             const td_pose *second_from_first, double zoom, td_error *error);
 

@@ -1,8 +1,9 @@
 /* Chessboards with known corners, rendered without anything of the library's corner model.
  *
- * A pixel is the mean of the board's colours at points around its centre: offsets drawn from the pixel's square plus a
- * Gaussian blur, by a low-discrepancy sequence (Roberts' generalised golden ratio). Every offset comes with its
- * opposite, so that a straight edge stays exactly where it is, whatever its direction. */
+ * A pixel is the mean of the board's colours at points around its centre: offsets drawn from the pixel's
+ * square plus a Gaussian blur, by a low-discrepancy sequence (Roberts' generalised golden ratio). Every
+ * offset comes with its opposite, so that a straight edge stays exactly where it is, whatever its direction.
+ */
 #ifndef TELEDIMOS_TESTS_RENDER_CHESSBOARD_H
 #define TELEDIMOS_TESTS_RENDER_CHESSBOARD_H
 
@@ -16,14 +17,14 @@
 static const double SCENE_PI = 3.14159265358979323846;
 
 typedef struct scene {
-    int width, height;           /* px */
-    int columns, rows;           /* inner corners, at (0, 0) to (columns - 1, rows - 1) of the board */
-    bool light_first;            /* the square before corner (0, 0) is light */
-    double image_from_board[9];  /* homography: squares to px */
+    int width, height;          /* px */
+    int columns, rows;          /* inner corners, at (0, 0) to (columns - 1, rows - 1) of the board */
+    bool light_first;           /* the square before corner (0, 0) is light */
+    double image_from_board[9]; /* homography: squares to px */
     double board_from_image[9];
-    double blur;                 /* px */
-    double dark, light;          /* grey levels */
-    int pairs;                   /* of offsets */
+    double blur;        /* px */
+    double dark, light; /* grey levels */
+    int pairs;          /* of offsets */
 } scene;
 
 static inline void scene_apply(double out[2], const double h[9], double x, double y)
@@ -42,8 +43,8 @@ static inline void scene_invert(double inverse[9], const double h[9])
         }
 }
 
-/* The board's middle at the image's middle, squares of `square` px there, turned by `turn` in the image and leant back
- * by `tilt` about an axis at `axis` (rad). */
+/* The board's middle at the image's middle, squares of `square` px there, turned by `turn` in the image and
+ * leant back by `tilt` about an axis at `axis` (rad). */
 static inline void scene_place(scene *s, double square, double turn, double tilt, double axis)
 {
     const double focal = 8; /* in squares: strong perspective */
@@ -72,7 +73,8 @@ static inline double scene_colour(const scene *s, double x, double y)
     return odd == s->light_first ? s->dark : s->light;
 }
 
-/* Whether no edge comes within `reach` of a pixel: the squares met in eight directions are those at the centre. */
+/* Whether no edge comes within `reach` of a pixel: the squares met in eight directions are those at the
+ * centre. */
 static inline bool scene_flat(const scene *s, double x, double y, double reach)
 {
     double p[2], q[2];
@@ -88,7 +90,8 @@ static inline bool scene_flat(const scene *s, double x, double y, double reach)
 /* (pairs,2) offsets, px. */
 static inline double *scene_offsets(const scene *s)
 {
-    double *offset = malloc(2 * (size_t)s->pairs * sizeof *offset), phi = 1.1673039782614187; /* x^5 = x + 1 */
+    double *offset = malloc(2 * (size_t)s->pairs * sizeof *offset),
+           phi = 1.1673039782614187; /* x^5 = x + 1 */
     for (int i = 0; i < s->pairs; i++) {
         double u[4], step = 1;
         for (int k = 0; k < 4; k++) {
@@ -123,7 +126,8 @@ static inline double *scene_render(const scene *s)
 }
 
 /* Adds white noise and rounds to 8 bits. */
-static inline void scene_expose(uint8_t *image, const double *grey, const scene *s, double noise, td_random *random)
+static inline void scene_expose(uint8_t *image, const double *grey, const scene *s, double noise,
+                                td_random *random)
 {
     for (int i = 0; i < s->width * s->height; i++) {
         double g = grey[i] + (noise > 0 ? noise * td_random_normal(random) : 0);

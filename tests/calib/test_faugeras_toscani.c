@@ -1,10 +1,11 @@
 /* Proves: camera and pose come back from exact points of a cloud, of two planes and of a plane at several
  * heights, in whatever frame the target is given; that with noise too the answer does not depend on the frame
- * (Faugeras and Toscani's constraint is the one that a change of frame leaves alone); that points which do
- * not determine a camera, or are numbered as in a mirror, are refused; and that the joint refinement ends
- * where it ends when it starts from the truth. Reference: simulated truth. Tolerances: 1e-8 relative without
- * noise (the normal equations square the condition number, some 1e3, of the points' matrix); 3 % of the
- * residual, the paper's bound, after refinement. Blind to: wrong views among many (test_first_estimate). */
+ * (Faugeras and Toscani's constraint is one that a change of frame leaves alone); that noise scatters the
+ * focal length and does not shift it; that points which do not determine a camera, or are numbered as in a
+ * mirror, are refused; and that the joint refinement ends where it ends when it starts from the truth.
+ * Reference: simulated truth. Tolerances: 1e-10 relative without noise (measured: 4e-12); 3 % of the
+ * residual, the paper's bound, after refinement; others stated in place. Blind to: wrong views among many
+ * (test_first_estimate). */
 #include "calib/bundle_internal.h"
 #include "calib/faugeras_toscani.h"
 #include "core/linalg.h"
@@ -125,10 +126,10 @@ static void test_exact(void **state)
                 check_ok(solve(&a, &s, &error), error);
                 for (int i = 0; i < 4; i++) {
                     worst = fmax(worst, fabs(a.intrinsics[i] - s.intrinsics[i]) / s.intrinsics[0]);
-                    check_near(a.intrinsics[i], s.intrinsics[i], 1e-8 * s.intrinsics[0]);
+                    check_near(a.intrinsics[i], s.intrinsics[i], 1e-10 * s.intrinsics[0]);
                 }
-                check_near(a.skew, 0, 1e-8 * s.intrinsics[0]);
-                check_pose(&a.pose, &s.pose, 1e-8);
+                check_near(a.skew, 0, 1e-10 * s.intrinsics[0]);
+                check_pose(&a.pose, &s.pose, 1e-10);
                 /* The matrix maps as the camera does, and its third row has length 1. */
                 check_near(a.p[8] * a.p[8] + a.p[9] * a.p[9] + a.p[10] * a.p[10], 1, 1e-12);
                 for (size_t i = 0; i < s.n; i++) {
@@ -138,7 +139,7 @@ static void test_exact(void **state)
                         u[r] = q[0] * m[0] + q[1] * m[1] + q[2] * m[2] + q[3];
                     }
                     assert_true(u[2] > 0);
-                    for (int k = 0; k < 2; k++) check_near(u[k] / u[2], s.pixel[2 * i + k], 1e-6);
+                    for (int k = 0; k < 2; k++) check_near(u[k] / u[2], s.pixel[2 * i + k], 1e-8);
                 }
             }
         }
@@ -185,6 +186,37 @@ static void test_frame_independent(void **state)
             check_near(a.skew, b.skew, 1e-8 * a.intrinsics[0]);
             assert_true(fabs(a.skew) > 1e-6); /* the noise did reach the answer */
         }
+}
+
+/* The plain minimum is pulled towards small depths by noise: at 1 px two planes 0.24 m wide, 0.6 m away from
+ * a lens of 530 px, gave it 150 to 250 px. Without that pull the answer falls on either side of the truth as
+ * a coin does, within 3.3 standard deviations of it. */
+static void test_unbiased(void **state)
+{
+    (void)state;
+    enum { TRIALS = 400 };
+    td_random random = td_random_seed(8, 1);
+    double below = 0, square = 0;
+    size_t n = 0;
+    for (int trial = 0; trial < TRIALS; trial++) {
+        scene s = make_scene(PLANES, &random);
+        td_error error = {0};
+        answer a;
+        const double k[4] = {530, 530, 320, 240};
+        memcpy(s.intrinsics, k, sizeof k);
+        for (int i = 0; i < 3; i++) s.pose.t[i] *= 0.6 / s.pose.t[2] * (i == 2 ? 1 : 0.5);
+        look(&s);
+        for (size_t i = 0; i < 2 * s.n; i++) s.pixel[i] += 0.3 * td_random_normal(&random);
+        if (solve(&a, &s, &error) != TD_OK) continue;
+        double e = log(a.intrinsics[0] / 530);
+        below += e < 0;
+        square += e * e;
+        n++;
+    }
+    print_message("focal length, 0.3 px of noise: scatter %.1f %%, below the truth %.1f %% of the time\n",
+                  100 * sqrt(square / (double)n), 100 * below / (double)n);
+    assert_true(n > 0.95 * TRIALS);
+    check_near(below / (double)n, 0.5, 3.3 * 0.5 / sqrt((double)n));
 }
 
 static void test_outputs_are_optional(void **state)
@@ -349,6 +381,7 @@ int main(void)
     const struct CMUnitTest tests[] = {cmocka_unit_test(test_exact),
                                        cmocka_unit_test(test_six_points),
                                        cmocka_unit_test(test_frame_independent),
+                                       cmocka_unit_test(test_unbiased),
                                        cmocka_unit_test(test_outputs_are_optional),
                                        cmocka_unit_test(test_plane_refused),
                                        cmocka_unit_test(test_bad_points),

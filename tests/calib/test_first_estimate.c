@@ -24,6 +24,11 @@ static int scenes(td_estimate_method method, int most)
     return method == TD_ESTIMATE_VISP ? 1 : most;
 }
 
+static bool spared(td_estimate_method method, td_camera_model model)
+{
+    return method == TD_ESTIMATE_VISP && model != TD_CAMERA_BROWN5;
+}
+
 typedef struct estimate {
     td_camera camera;
     td_pose pose[VIEWS];
@@ -116,7 +121,7 @@ static void test_free_views(void **state)
                     if (depth) s.target = two_planes();
                     td_observations *o = simulate(&s, (uint64_t)seed, (uint64_t)seed, 0.1, 0.1);
                     true_poses(truth, &s, (uint64_t)seed);
-                    for (int k = 0; k < 2; k++) {
+                    for (int k = 0; k < scenes(methods[i], 2); k++) {
                         check_ok(run(&e, o, k, methods[i], &error), error);
                         check_estimate(&e, &s, k, truth, -1, &w);
                     }
@@ -161,7 +166,7 @@ static void test_rail(void **state)
     for (size_t i = 0; i < METHODS; i++) {
         worst w = {0};
         for (td_camera_model m = 0; m < TD_CAMERA_MODEL_COUNT; m++)
-            for (int free_views = 0; free_views <= 4; free_views += 4) {
+            for (int free_views = 0; free_views <= 4 && !spared(methods[i], m); free_views += 4) {
                 td_error error = {0};
                 simulation s = simulate_stereo(m, VIEWS);
                 td_random noise = td_random_seed(5, 5);
@@ -173,7 +178,7 @@ static void test_rail(void **state)
                     truth[v] = td_pose_exp(rail);
                     put_on_rail(o, &s, v, &truth[v], 0.04 * (double)(v - (size_t)free_views), 0.1, &noise);
                 }
-                for (int k = 0; k < 2; k++) {
+                for (int k = 0; k < scenes(methods[i], 2); k++) {
                     check_ok(run(&e, o, k, methods[i], &error), error);
                     check_estimate(&e, &s, k, truth, -1, &w);
                     for (size_t v = (size_t)free_views; v < VIEWS; v++)
@@ -268,7 +273,7 @@ static void test_wrong_view(void **state)
         for (size_t i = 0; i < METHODS; i++) {
             worst w = {0};
             for (td_camera_model m = 0; m < TD_CAMERA_MODEL_COUNT && suits(methods[i], depth); m++)
-                for (wrong_view how = 0; how < WRONG_VIEWS; how++)
+                for (wrong_view how = 0; how < WRONG_VIEWS && !spared(methods[i], m); how++)
                     for (int wrong = 0; wrong < scenes(methods[i], VIEWS); wrong += 3) {
                         td_error error = {0};
                         simulation s = simulate_stereo(m, VIEWS);
@@ -295,7 +300,7 @@ static void test_wrong_view_on_rail(void **state)
     for (size_t i = 0; i < METHODS; i++) {
         worst w = {0};
         for (td_camera_model m = 0; m < TD_CAMERA_MODEL_COUNT; m++)
-            for (int how = -1; how < WRONG_VIEWS; how++)
+            for (int how = -1; how < WRONG_VIEWS && !spared(methods[i], m); how++)
                 for (int wrong = 0; wrong < scenes(methods[i], VIEWS); wrong += 3) {
                     td_error error = {0};
                     simulation s = simulate_stereo(m, VIEWS);
@@ -336,7 +341,7 @@ static void test_keep_camera(void **state)
                 if (depth) s.target = two_planes();
                 td_observations *o = simulate(&s, 3, 3, 0, 0.1);
                 true_poses(truth, &s, 3);
-                for (int k = 0; k < 2; k++) {
+                for (int k = 0; k < scenes(methods[i], 2); k++) {
                     memset(&e, 0x7f, sizeof e);
                     e.camera = s.rig->camera[k].camera;
                     check_ok(td_first_estimate(&e.camera, e.pose, e.has_pose, o, k, methods[i], true, &error),
@@ -383,8 +388,7 @@ static void test_partly_seen(void **state)
             }
             for (int v = 0; v < VIEWS; v++) td_observations_get(o, (size_t)v, 0)->found = false;
             check_fails(run(&e, o, 0, methods[i], &error), TD_ERROR_DATA, error,
-                        methods[i] == TD_ESTIMATE_FAUGERAS_TOSCANI || (depth && i == 0) ? "Faugeras-Toscani"
-                                                                                        : "4 points");
+                        methods[i] == TD_ESTIMATE_FAUGERAS_TOSCANI ? "Faugeras-Toscani" : "4 points");
             td_observations_free(&o);
             td_rig_free(&s.rig);
         }

@@ -552,6 +552,59 @@ static void a_hidden_outer_row_is_not_guessed(void **state)
     finish(&v, &d);
 }
 
+/* A board with a column more than the target says, of which only half is in view. */
+static void a_larger_grid_is_not_taken(void **state)
+{
+    (void)state;
+    td_random random = td_random_seed(23, 1);
+    bool hidden[42] = {false};
+    for (size_t i = 3; i < 6; i++) hidden[7 * i] = true;
+    view v = view_of(flat_target(7, 6, TD_MARK_DARK), 0.8, 0.5, 1, 0.2, &PAPER, hidden, &random);
+    v.target = flat_target(6, 6, TD_MARK_DARK);
+    td_detection d = detect(&v, NULL, 0);
+    assert_false(d.found);
+    assert_non_null(strstr(d.reason, "all of them in a 7x6 grid: is the target's size right?"));
+    finish(&v, &d);
+}
+
+/* The sharp edge of a shadow lies across the board: what it crosses is known less well, and sigma says so. */
+static void a_shadow_on_the_board_does_little(void **state)
+{
+    (void)state;
+    td_random random = td_random_seed(24, 1);
+    light bright = PAPER;
+    bright.noise = 0;
+    view v = view_of(flat_target(5, 5, TD_MARK_DARK), 0.8, 0.5, 1, 0.2, &bright, NULL, &random);
+    for (int y = 0; y < 480; y++) {
+        for (int x = 0; x < 640; x++) {
+            double side = 0.8 * (x - 310) + 0.6 * (y - 250), gain = 0.65 + 0.175 * erfc(-side / 0.8);
+            double grey = gain * v.image->data[y * 640 + x] + 1.5 * td_random_normal(&random);
+            v.image->data[y * 640 + x] = (uint8_t)fmin(fmax(floor(grey + 0.5), 0), 255);
+        }
+    }
+    td_detection d = detect(&v, NULL, 0);
+    assert_true(d.found);
+    assert_int_equal(check_points(&d, &v), 25);
+    finish(&v, &d);
+}
+
+static void marks_cut_by_the_border_are_no_marks(void **state)
+{
+    (void)state;
+    td_random random = td_random_seed(25, 1);
+    const double centre[4][2] = {{17, 100.3}, {622, 200.6}, {300.2, 17}, {400.7, 462}};
+    scene s = scene_new(640, 480, 0.6);
+    for (int i = 0; i < 4; i++) scene_add_ellipse(&s, centre[i][0], centre[i][1], 20, 20, 0);
+    td_image *image = scene_image(&s, &PAPER, &random);
+    td_mark *mark;
+    size_t count;
+    td_error error;
+    check_ok(td_marks_find(&mark, &count, image, TD_MARK_DARK, &error), error);
+    assert_int_equal(count, 0);
+    free(mark);
+    td_image_free(&image);
+}
+
 static void wrong_targets_are_named(void **state)
 {
     (void)state;
@@ -618,6 +671,21 @@ static void clicks_decide_the_numbering(void **state)
         }
         finish(&v, &d);
     }
+}
+
+/* Clicks close together say little of the far marks of a distorted grid: the marks found on the way do. */
+static void few_clicks_reach_far(void **state)
+{
+    (void)state;
+    td_random random = td_random_seed(26, 1);
+    view v = view_of(flat_target(12, 9, TD_MARK_DARK), 0.95, 0.9, 1, 0.2, &PAPER, NULL, &random);
+    const size_t mark[4] = {94, 95, 106, 107};
+    td_click click[4];
+    make_clicks(click, &v, mark, mark, 4);
+    td_detection d = detect(&v, click, 4);
+    if (!d.found) fail_msg("%s", d.reason);
+    assert_int_equal(check_points(&d, &v), 108);
+    finish(&v, &d);
 }
 
 static void wrong_clicks_are_told(void **state)
@@ -916,8 +984,12 @@ int main(void)
         cmocka_unit_test(dirt_on_a_mark_is_left_out),
         cmocka_unit_test(hidden_marks_are_not_seen),
         cmocka_unit_test(a_hidden_outer_row_is_not_guessed),
+        cmocka_unit_test(a_larger_grid_is_not_taken),
+        cmocka_unit_test(a_shadow_on_the_board_does_little),
+        cmocka_unit_test(marks_cut_by_the_border_are_no_marks),
         cmocka_unit_test(wrong_targets_are_named),
         cmocka_unit_test(clicks_decide_the_numbering),
+        cmocka_unit_test(few_clicks_reach_far),
         cmocka_unit_test(wrong_clicks_are_told),
         cmocka_unit_test(impossible_clicks_are_arguments),
         cmocka_unit_test(two_planes_are_told_apart),
