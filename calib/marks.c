@@ -144,10 +144,9 @@ static const char *polarity_word(td_mark_polarity polarity)
     return polarity == TD_MARK_DARK ? "dark " : polarity == TD_MARK_LIGHT ? "light " : "";
 }
 
-/* "6x6 dark marks", "5x4 and 5x4 marks". */
+/* Appends "6x6 dark marks", "5x4 and 5x4 marks". */
 static void describe_wanted(char *text, size_t size, const td_target *target)
 {
-    text[0] = 0;
     for (int i = 0; i < target->plane_count; i++)
         append(text, size, "%s%dx%d", i ? " and " : "", target->plane[i].columns, target->plane[i].rows);
     append(text, size, " %smarks", polarity_word(target->polarity));
@@ -190,9 +189,8 @@ static td_status tell_quality(char *text, size_t size, const td_numbering *n, td
 /* Why the target was not found. */
 static td_status tell_missing(char *text, size_t size, const td_numbering *n, td_error *error)
 {
+    append(text, size, "looked for ");
     describe_wanted(text, size, n->target);
-    memmove(text + 11, text, strlen(text) + 1 < size - 11 ? strlen(text) + 1 : size - 12);
-    memcpy(text, "looked for ", 11);
     if (!n->marks) {
         append(text, size, ", saw no round %smark", polarity_word(n->target->polarity));
         return TD_OK;

@@ -1,11 +1,12 @@
 /* Proves: td_corner_refine finds corners without bias, its derivatives are right, its sigma is the scatter,
- * also when the noise is correlated, and it refuses what is no corner.
+ * it notices correlated noise, and it refuses what is no corner.
  *
- * Reference: chessboards rendered by render_chessboard.h, which knows nothing of the model that is fitted (it
- * has no erf in it, and its edges cross at any angle). Tolerances: the renderer's own error, measured with
- * ten times the offsets, is below 0.001 px; the noise-free figures below it are those of 8-bit rounding.
- * OpenCV's cornerSubPix (half-window 5) on the same kind of images has 3 to 10 times these errors. Blind to:
- * lines bent by distortion, real JPEG artefacts, lenses whose blur is not symmetric. */
+ * Reference: chessboards rendered by render_chessboard.h, which knows nothing of the model that is fitted.
+ * Tolerances: without noise the errors are the renderer's own (they halve with four times the offsets; with
+ * 5120 pairs they are 0.0006 to 0.0026 px, that of rounding to 8 bits), so the bounds are twice what is seen
+ * with the offsets used here. OpenCV's cornerSubPix with half-window 5 has 3 to 10 times the errors of this
+ * fit, with and without noise. Blind to: lines bent by distortion, real JPEG artefacts, lenses whose blur is
+ * not symmetric. */
 #include "calib/corner.h"
 #include "calib/corner_internal.h"
 #include "core/random.h"
@@ -15,9 +16,9 @@
 enum { SIDE = 240, COUNT = 7 }; /* px of an image; corners of its board along each side */
 
 /* A board seen at random angles. */
-static scene random_scene(td_random *random, double square, double blur)
+static scene random_scene(td_random *random, double square, double blur, int pairs)
 {
-    scene s = {SIDE, SIDE, COUNT, COUNT, false, {0}, {0}, blur, 40, 200, 160};
+    scene s = {SIDE, SIDE, COUNT, COUNT, false, {0}, {0}, blur, 40, 200, pairs};
     scene_place(&s, square, 2 * SCENE_PI * td_random_uniform(random), 0.7 * td_random_uniform(random),
                 2 * SCENE_PI * td_random_uniform(random));
     return s;
@@ -124,14 +125,12 @@ static void no_bias_without_noise(void **state)
     (void)state;
     td_random random = td_random_seed(1, 1);
     const double square[] = {30, 30, 30, 30, 14, 14}, blur[] = {0.4, 1, 2, 3, 0.5, 1.5};
-    /* What is left is the lines' bend by distortion and perspective, of which the model knows nothing, and the rounding
-     * to 8 bits: 0.005 px, and in proportion more where the blur is wider. */
-    const double bound[] = {0.005, 0.005, 0.01, 0.015, 0.005, 0.0075};
+    const double bound[] = {0.002, 0.006, 0.006, 0.008, 0.003, 0.006};
     printf("  square  blur  RMS px   mean px  worst px  measured blur\n");
     for (int k = 0; k < 6; k++) {
         tally t = {0};
-        for (int board = 0; board < 3; board++) {
-            scene s = random_scene(&random, square[k], blur[k]);
+        for (int board = 0; board < 2; board++) {
+            scene s = random_scene(&random, square[k], blur[k], 1280);
             double *grey = scene_render(&s);
             uint8_t pixels[SIDE * SIDE];
             scene_expose(pixels, grey, &s, 0, &random);
@@ -142,51 +141,51 @@ static void no_bias_without_noise(void **state)
                t.blur / t.refined);
         assert_int_equal(t.refined, t.tried);
         check_less(rms(&t), bound[k]);
-        check_less(bias(&t), bound[k] / 4);
-        /* The blur of the pixel's own width comes on top. It serves to tell blurred views from sharp ones: a
-         * tenth will do. */
-        double true_blur = sqrt(blur[k] * blur[k] + 1 / 12.0);
-        check_near(t.blur / t.refined, true_blur, 0.1 * true_blur);
+        check_less(bias(&t), 0.002);
+        /* The blur of the pixel's own width comes on top. */
+        check_near(t.blur / t.refined, sqrt(blur[k] * blur[k] + 1 / 12.0), 0.02);
     }
-    puts("");
 }
 
-/* Sharpening and a curved response leave the corner where it is. Light that falls by 40 % over the width
- * moves it by 0.01 px: the model's shading adds grey, it does not weaken the contrast. */
-static void what_the_model_lacks_does_not_move_it(void **state)
+/* Sharpening, a curved response and stray light that fades across the image leave the corner where it is.
+ * Illumination that falls by 20 % over 240 px (grey levels multiplied, where the model adds) moves it by
+ * 0.005 px: the bound is to notice when that grows. */
+static void what_the_model_lacks_hardly_moves_it(void **state)
 {
     (void)state;
+    enum { SHARPENED, CURVED, STRAY, FALLING, KINDS };
+    static const char *const name[KINDS] = {"sharpened", "gamma 2.2", "stray light", "falling light"};
+    static const double bound[KINDS] = {0.002, 0.002, 0.002, 0.008};
     td_random random = td_random_seed(2, 1);
-    for (int kind = 0; kind < 3; kind++) {
+    for (int kind = 0; kind < KINDS; kind++) {
         tally t = {0};
         for (int board = 0; board < 3; board++) {
-            scene s = random_scene(&random, 30, 1);
+            scene s = random_scene(&random, 30, 1, 640);
             double *grey = scene_render(&s);
-            uint8_t pixels[SIDE * SIDE];
-            for (int y = 1; y + 1 < SIDE && kind == 0; y++) /* unsharp mask, as many cameras apply */
+            uint8_t pixels[SIDE * SIDE] = {0};
+            for (int y = 1; y + 1 < SIDE; y++)
                 for (int x = 1; x + 1 < SIDE; x++) {
-                    const double *g = grey + y * SIDE + x;
-                    double v = g[0] + 0.25 * (4 * g[0] - g[1] - g[-1] - g[SIDE] - g[-SIDE]);
+                    const double *g = grey + y * SIDE + x, across = (x - SIDE / 2.0) / SIDE;
+                    double v = g[0];
+                    if (kind == SHARPENED) v += 0.25 * (4 * g[0] - g[1] - g[-1] - g[SIDE] - g[-SIDE]);
+                    if (kind == CURVED) v = 255 * pow(g[0] / 255, 1 / 2.2);
+                    if (kind == STRAY) v += 40 * across;
+                    if (kind == FALLING) v *= 1 + 0.2 * across;
                     pixels[y * SIDE + x] = (uint8_t)fmin(fmax(round(v), 0), 255);
                 }
-            for (int i = 0; i < SIDE * SIDE && kind > 0; i++) {
-                double light = 1 + 0.4 * (i % SIDE - SIDE / 2) / SIDE;
-                pixels[i] = (uint8_t)round(kind == 1 ? 255 * pow(grey[i] / 255, 1 / 2.2) : grey[i] * light);
-            }
             refine_all(&t, pixels, &s, 1, &random);
             free(grey);
         }
-        static const char *const name[] = {"sharpened", "gamma 2.2", "uneven light"};
-        printf("  %-12s  RMS %.5f px, mean %.5f px, of %d refined %d\n", name[kind], rms(&t), bias(&t),
+        printf("  %-13s RMS %.5f px, mean %.5f px, of %d refined %d\n", name[kind], rms(&t), bias(&t),
                t.tried, t.refined);
-        assert_true(t.refined > 0.97 * t.tried);
+        assert_int_equal(t.refined, t.tried);
         check_less(rms(&t), 0.01);
-        check_less(bias(&t), kind == 2 ? 0.015 : 0.002);
+        check_less(bias(&t), bound[kind]);
     }
 }
 
-/* 1960 corners for each level of noise: the scatter of the ratio itself is 1.6 %, so 0.95 to 1.05 is its 99.9
- * % interval. */
+/* Some 1900 corners for each level of noise: with two coordinates each, the ratio has a standard deviation
+ * of 1.2 %, and 0.05 is its 99.9 % bound with a little room for the renderer's error. */
 static void sigma_is_the_scatter(void **state)
 {
     (void)state;
@@ -195,7 +194,7 @@ static void sigma_is_the_scatter(void **state)
     for (int level = 0; level < 2; level++) {
         tally t = {0};
         for (int board = 0; board < 10; board++) {
-            scene s = random_scene(&random, board % 2 ? 28 : 16, blur[board % 5]);
+            scene s = random_scene(&random, board % 2 ? 28 : 16, blur[board % 5], 640);
             double *grey = scene_render(&s);
             uint8_t pixels[SIDE * SIDE];
             for (int shot = 0; shot < 4; shot++) {
@@ -205,25 +204,26 @@ static void sigma_is_the_scatter(void **state)
             free(grey);
         }
         double own = sqrt(t.square / (2 * t.variance)), pooled = sqrt(t.normalised / (2 * t.refined));
-        printf("  noise %.0f: RMS %.4f px, mean %.4f px; scatter / sigma %.3f (own), %.3f (pooled), %d of %d "
-               "corners\n",
-               noise[level], rms(&t), bias(&t), own, pooled, t.refined, t.tried);
-        assert_true(t.refined >= 0.98 * t.tried);
-        check_near(own, 1, 0.06);
+        printf(
+            "  noise %.0f: RMS %.4f px, mean %.4f px; scatter / sigma %.3f (own), %.3f (pooled), %d of %d\n",
+            noise[level], rms(&t), bias(&t), own, pooled, t.refined, t.tried);
+        assert_true(t.tried > 1500 && t.refined >= 0.99 * t.tried);
+        check_near(own, 1, 0.05);
         check_near(pooled, 1, 0.05);
         check_less(bias(&t), 0.06 * rms(&t));
     }
 }
 
-/* Noise that neighbours share (JPEG, demosaicing): as white noise it would be taken to be much too harmless
- * (1.8 times); the sandwich sees most of it, and stays a quarter short. */
+/* Noise that neighbours share (JPEG, demosaicing): as white noise it would be taken to be much too harmless.
+ * Blocks of 3x3 pixels see five sixths of the standard deviation of noise averaged over 2x2, so 1.2 is
+ * expected. */
 static void sigma_knows_correlated_noise(void **state)
 {
     (void)state;
     td_random random = td_random_seed(4, 1);
     tally t = {0};
     for (int board = 0; board < 6; board++) {
-        scene s = random_scene(&random, 28, 1);
+        scene s = random_scene(&random, 28, 1, 320);
         double *grey = scene_render(&s), *white = malloc(SIDE * SIDE * sizeof *white);
         uint8_t pixels[SIDE * SIDE];
         for (int shot = 0; shot < 4; shot++) {
@@ -241,8 +241,8 @@ static void sigma_knows_correlated_noise(void **state)
     }
     double own = sqrt(t.square / (2 * t.variance)), as_white = sqrt(t.square / (2 * t.white));
     printf("  noise averaged over 2x2 pixels: scatter / sigma %.3f, as white noise %.3f\n", own, as_white);
-    check_near(own, 1, 0.3);
-    check_less(1.5, as_white);
+    check_near(own, 1.2, 0.12);
+    check_less(1.6, as_white);
 }
 
 /* One corner between squares 28 px wide, turned by `turn`. */
@@ -362,10 +362,10 @@ static void border_is_kept(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(derivatives_are_those_of_the_model),    cmocka_unit_test(no_bias_without_noise),
-        cmocka_unit_test(what_the_model_lacks_does_not_move_it), cmocka_unit_test(sigma_is_the_scatter),
-        cmocka_unit_test(sigma_knows_correlated_noise),          cmocka_unit_test(contrast_tells_the_colours),
-        cmocka_unit_test(what_is_no_corner_is_refused),          cmocka_unit_test(border_is_kept),
+        cmocka_unit_test(derivatives_are_those_of_the_model),   cmocka_unit_test(no_bias_without_noise),
+        cmocka_unit_test(what_the_model_lacks_hardly_moves_it), cmocka_unit_test(sigma_is_the_scatter),
+        cmocka_unit_test(sigma_knows_correlated_noise),         cmocka_unit_test(contrast_tells_the_colours),
+        cmocka_unit_test(what_is_no_corner_is_refused),         cmocka_unit_test(border_is_kept),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
