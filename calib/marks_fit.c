@@ -472,9 +472,20 @@ static bool mark_outliers(problem *p)
     return changed;
 }
 
-static void use_all(problem *p)
+/* After the first step the model is near. Outliers are told; too many of them mean that it is not. The prior
+ * gets its weight against the residuals: what these exceed the image's noise by is a misfit (sharpening,
+ * demosaicking), which many pixels do not average out as they do noise. */
+static void look_again(problem *p)
 {
-    for (int i = 0; i < p->rows; i++) p->fit->pixel[i].outlier = false;
+    const double *q = p->p;
+    mark_outliers(p);
+    if (p->used < LEAST_USED * p->rows)
+        for (int i = 0; i < p->rows; i++) p->fit->pixel[i].outlier = false;
+    p->bulge_weight = 0;
+    sum_cost(p);
+    double variance = variance_of(p), noise = p->fit->noise, misfit = variance / (noise * noise + 1.0 / 12);
+    double area = q[TD_EDGE_BXX] * q[TD_EDGE_BYY] - q[TD_EDGE_BXY] * q[TD_EDGE_BXY];
+    p->bulge_weight = variance * fmax(misfit, 1) / (BULGE_PER_PX * BULGE_PER_PX * area);
     sum_cost(p);
 }
 
@@ -499,8 +510,7 @@ static bool descend(problem *p)
         bool refresh = i == 0 || move > 0.3 || lambda > 1e-2;
         if (possible) evaluate(p, refresh);
         if (possible && p->cost <= cost) {
-            if (i == 0) mark_outliers(p);
-            if (i == 0 && p->used < LEAST_USED * p->rows) use_all(p);
+            if (i == 0) look_again(p);
             lambda *= 0.1;
             normal_equations(p, refresh);
             fresh = refresh;
@@ -526,9 +536,6 @@ static bool fit_edge(problem *p, bool *memory)
         double before[PARAMETERS], *q = p->p;
         memcpy(before, q, sizeof before);
         double smear = sqrt(q[TD_EDGE_BLUR] * q[TD_EDGE_BLUR] + 1.0 / 12);
-        double area = q[TD_EDGE_BXX] * q[TD_EDGE_BYY] - q[TD_EDGE_BXY] * q[TD_EDGE_BXY];
-        double variance = p->used > PARAMETERS ? variance_of(p) : 1;
-        p->bulge_weight = variance / (BULGE_PER_PX * BULGE_PER_PX * area);
         if (!choose_pixels(p, 1 + 2.5 * smear, smear, memory)) return false;
         evaluate(p, true);
         double contrast = q[INSIDE] - q[OUTSIDE];

@@ -33,7 +33,9 @@ export PKG_CONFIG_PATH="$(dirname "$(find "$work/prefix" -name teledimos_calib.p
 cc -std=c17 "$source/tests/install/main.c" -o "$work/by_pkg_config" $(pkg-config --cflags --libs teledimos_calib) -lm
 LD_LIBRARY_PATH="$(pkg-config --variable=libdir teledimos_calib)" "$work/by_pkg_config" "$work/rig.yaml" | grep -x 'baseline 0.250000 m'
 echo "== exported names"
-for library in "$work"/prefix/lib/*/libteledimos_core.so "$work"/prefix/lib/*/libteledimos_calib.so; do
+libraries=$(find "$work/prefix" -name 'libteledimos_*.so')
+[ "$(echo "$libraries" | wc -l)" -ge 3 ] || { echo "libraries are missing: $libraries"; exit 1; }
+for library in $libraries; do
     foreign=$(nm -D --defined-only "$library" | awk '{print $3}' | grep -vE '^td_' | grep -vE '^_Z(T[ISVV]|N|St|G)|^_(init|fini)$|^__' || true)
     [ -z "$foreign" ] || { echo "$library exports $foreign"; exit 1; }
 done

@@ -29,9 +29,9 @@ typedef struct scene {
 
 static inline void scene_apply(double out[2], const double h[9], double x, double y)
 {
-    double w = h[6] * x + h[7] * y + h[8];
-    out[0] = (h[0] * x + h[1] * y + h[2]) / w;
-    out[1] = (h[3] * x + h[4] * y + h[5]) / w;
+    double w = 1 / (h[6] * x + h[7] * y + h[8]);
+    out[0] = (h[0] * x + h[1] * y + h[2]) * w;
+    out[1] = (h[3] * x + h[4] * y + h[5]) * w;
 }
 
 static inline void scene_invert(double inverse[9], const double h[9])
@@ -64,12 +64,18 @@ static inline void scene_place(scene *s, double square, double turn, double tilt
     scene_invert(s->board_from_image, s->image_from_board);
 }
 
+/* floor, quicker, for |v| < 10000. */
+static inline int scene_floor(double v)
+{
+    return (int)(v + 10000) - 10000;
+}
+
 static inline double scene_colour(const scene *s, double x, double y)
 {
     double p[2];
     scene_apply(p, s->board_from_image, x, y);
     if (p[0] < -1 || p[1] < -1 || p[0] >= s->columns || p[1] >= s->rows) return s->light;
-    bool odd = ((int)floor(p[0]) + (int)floor(p[1])) & 1;
+    bool odd = (scene_floor(p[0]) + scene_floor(p[1])) & 1;
     return odd == s->light_first ? s->dark : s->light;
 }
 
@@ -82,7 +88,7 @@ static inline bool scene_flat(const scene *s, double x, double y, double reach)
     for (int i = 0; i < 8; i++) {
         double a = i * SCENE_PI / 4;
         scene_apply(q, s->board_from_image, x + 1.1 * reach * cos(a), y + 1.1 * reach * sin(a));
-        if (floor(q[0]) != floor(p[0]) || floor(q[1]) != floor(p[1])) return false;
+        if (scene_floor(q[0]) != scene_floor(p[0]) || scene_floor(q[1]) != scene_floor(p[1])) return false;
     }
     return true;
 }
