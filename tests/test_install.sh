@@ -36,7 +36,7 @@ echo "== exported names"
 libraries=$(find "$work/prefix" -name 'libteledimos_*.so')
 [ "$(echo "$libraries" | wc -l)" -ge 3 ] || { echo "libraries are missing: $libraries"; exit 1; }
 for library in $libraries; do
-    foreign=$(nm -D --defined-only "$library" | awk '{print $3}' | grep -vE '^td_' | grep -vE '^_Z(T[ISVV]|N|St|G)|^_(init|fini|edata|end)$|^__' || true)
+    foreign=$(nm -D --defined-only "$library" | awk '{print $3}' | grep -vE '^td_' | grep -vE '^_Z(T[ISV]|N|ZN|St|G)|^_(init|fini|edata|end)$|^__' || true)
     [ -z "$foreign" ] || { echo "$library exports $foreign"; exit 1; }
 done
 echo "== commands"
