@@ -229,7 +229,11 @@ static void test_threads(void **state)
     options.threads = 3;
     check_ok(td_calibrate(&three, o, &options, &error), error);
     size_t n = td_rig_parameter_count(one->rig);
-    assert_memory_equal(one->rig->camera, three->rig->camera, sizeof one->rig->camera);
+    for (int k = 0; k < 2; k++) { /* field by field: padding is anything */
+        const td_rig_camera *a = &one->rig->camera[k], *b = &three->rig->camera[k];
+        assert_memory_equal(a->camera.parameter, b->camera.parameter, sizeof a->camera.parameter);
+        assert_memory_equal(&a->camera_from_rig, &b->camera_from_rig, sizeof a->camera_from_rig);
+    }
     assert_memory_equal(one->rig->covariance, three->rig->covariance, n * n * sizeof(double));
     assert_memory_equal(&one->leave_one_out, &three->leave_one_out, sizeof one->leave_one_out);
     td_calibration_free(&one);
