@@ -65,20 +65,37 @@ static double spread_of(const td_image *image)
     return sqrt(fmax((double)square / (double)n - mean * mean, 0));
 }
 
-/* By quadrangles, then by sectors if `thorough`. The first threshold suits most images, the second small
- * squares and noise, the third dark corners. */
-static td_status search_once(board *b, bool *found, const td_image *image, bool thorough, td_error *error)
+/* By quadrangles in an image of usual size. The first threshold suits most images, the second small squares
+ * and noise, the third dark corners. */
+static td_status search_usual(board *b, bool *found, const td_image *image, td_error *error)
 {
-    const int side = image->width < image->height ? image->width : image->height, tries = thorough ? 3 : 2;
+    const int side = image->width < image->height ? image->width : image->height;
     const double spread = spread_of(image);
     const td_chessboard_threshold threshold[3] = {{(side / 10) | 1, 0.14 * spread, 0},
                                                   {(side / 20) | 1, 0.14 * spread, 3},
                                                   {(side / 7) | 1, 0.03 * spread, 5}};
-    int columns = b->columns, rows = b->rows;
     *found = false;
-    for (int i = 0; i < tries && !*found; i++)
-        TD_TRY(td_chessboard_by_quadrangles(b->start, found, image, columns, rows, &threshold[i], error));
-    if (*found || !thorough) return TD_OK;
+    for (int i = 0; i < 3 && !*found; i++)
+        TD_TRY(
+            td_chessboard_by_quadrangles(b->start, found, image, b->columns, b->rows, &threshold[i], error));
+    return TD_OK;
+}
+
+/* The same for boards that are too small in the shrunk image. */
+static td_status search_small(board *b, bool *found, const td_image *image, td_error *error)
+{
+    const double offset = 0.14 * spread_of(image);
+    const td_chessboard_threshold threshold[2] = {{41, offset, 0}, {25, offset, 3}};
+    *found = false;
+    for (int i = 0; i < 2 && !*found; i++)
+        TD_TRY(
+            td_chessboard_by_quadrangles(b->start, found, image, b->columns, b->rows, &threshold[i], error));
+    return TD_OK;
+}
+
+static td_status search_sectors(board *b, bool *found, const td_image *image, td_error *error)
+{
+    int columns = b->columns, rows = b->rows;
     return td_chessboard_by_sectors(b->start, (size_t)board_count(b), found, &columns, &rows, false, image,
                                     error);
 }
@@ -97,20 +114,29 @@ static void enlarge(board *b, int times)
     for (int i = 0; i < 2 * board_count(b); i++) b->start[i] = (b->start[i] + 0.5) * factor - 0.5;
 }
 
-/* Thoroughly in the shrunk image, then quickly in larger ones, where small boards are. */
+/* A way to look for a board in the image halved `times` times. */
+typedef td_status (*search_function)(board *b, bool *found, const td_image *image, td_error *error);
+
+static td_status search_shrunk(board *b, bool *found, const td_image *image, int times, search_function look,
+                               td_error *error)
+{
+    if (image->width < LEAST_SIDE || image->height < LEAST_SIDE) return TD_OK;
+    td_image *small = NULL;
+    if (times > 0) TD_TRY(td_image_shrink(&small, image, times, error));
+    td_status status = look(b, found, small ? small : image, error);
+    td_image_free(&small);
+    if (status == TD_OK && *found) enlarge(b, times);
+    return status;
+}
+
 static td_status search(board *b, bool *found, const td_image *image, td_error *error)
 {
     *found = false;
     const int most = halvings(image);
-    if (image->width < LEAST_SIDE || image->height < LEAST_SIDE) return TD_OK;
-    for (int times = most; times >= 0 && !*found; times--) {
-        td_image *small = NULL;
-        if (times > 0) TD_TRY(td_image_shrink(&small, image, times, error));
-        td_status status = search_once(b, found, small ? small : image, times == most, error);
-        td_image_free(&small);
-        TD_TRY(status);
-        if (*found) enlarge(b, times);
-    }
+    TD_TRY(search_shrunk(b, found, image, most, search_usual, error));
+    if (!*found) TD_TRY(search_shrunk(b, found, image, most, search_sectors, error));
+    for (int times = most - 1; times >= 0 && !*found; times--)
+        TD_TRY(search_shrunk(b, found, image, times, search_small, error));
     return TD_OK;
 }
 
@@ -365,34 +391,46 @@ static double edge_blur(const td_image *image)
     return (i + 0.5) / PER_PX;
 }
 
+/* The blur, px, of an image of which no edge is sharp; 0 for others. Looks at shrunk images, where noise does
+ * not break up the slopes; there, edges that are sharp measure less than 1 px. */
+static double blur_of_all(const td_image *image)
+{
+    for (int times = 2; times > 0; times--) {
+        td_image *small = NULL;
+        double blur = 0;
+        if (td_image_shrink(&small, image, times, NULL) == TD_OK) blur = edge_blur(small);
+        td_image_free(&small);
+        if (blur > BLURRED / 2) return blur * (1 << times);
+    }
+    return 0;
+}
+
 /* ": the image is blurred …" when it is, else "". */
 static const char *blur_remark(char remark[96], const td_image *image)
 {
-    double blur = edge_blur(image);
+    double blur = blur_of_all(image);
     remark[0] = 0;
-    if (blur > BLURRED)
+    if (blur > 0)
         snprintf(remark, 96, ": the image is blurred, its edges spread over %.1f px: focus, or hold still",
                  blur);
     return remark;
 }
 
+static td_status search_larger(board *b, bool *found, const td_image *image, td_error *error)
+{
+    const size_t capacity = (size_t)board_count(b);
+    b->columns = b->rows = 3;
+    return td_chessboard_by_sectors(b->start, capacity, found, &b->columns, &b->rows, true, image, error);
+}
+
 /* The largest board of any size in the shrunk image, refined. */
 static td_status search_any_size(board *b, bool *found, const td_image *image, td_error *error)
 {
-    enum { MOST = 100, LEAST = 3 };
+    enum { MOST_SIDE = 100 };
     *found = false;
-    if (image->width < LEAST_SIDE || image->height < LEAST_SIDE) return TD_OK;
-    TD_TRY(board_new(b, MOST, MOST, error));
-    const int times = halvings(image);
-    td_image *small = NULL;
-    td_status status = times > 0 ? td_image_shrink(&small, image, times, error) : TD_OK;
-    b->columns = b->rows = LEAST;
-    if (status == TD_OK)
-        status = td_chessboard_by_sectors(b->start, MOST * MOST, found, &b->columns, &b->rows, true,
-                                          small ? small : image, error);
-    td_image_free(&small);
-    if (status != TD_OK || !*found) return status;
-    enlarge(b, times);
+    TD_TRY(board_new(b, MOST_SIDE, MOST_SIDE, error));
+    TD_TRY(search_shrunk(b, found, image, halvings(image), search_larger, error));
+    if (!*found) return TD_OK;
     *found = enough(b, refine(b, image));
     b->part = *found && goes_on(b, image);
     return TD_OK;
@@ -435,24 +473,23 @@ static void tell(td_detection *detection, const board *wanted, int seen, const b
 {
     const int columns = wanted->columns, rows = wanted->rows, count = board_count(wanted);
     const bool there = 2 * seen >= count && !(other && board_count(other) > count);
+    const bool whole = other && !other->part;
     char remark[96], saw[160];
+    blur_remark(remark, image); /* of a blurred board, parts are found */
     if (wanted->part && !other)
         snprintf(saw, sizeof saw, "but the one in the image has more");
     else if (there && !wanted->part)
         snprintf(saw, sizeof saw, "saw it, but only %d of %d can be measured%s", seen, count,
-                 *blur_remark(remark, image) ? remark : ": noise, glare, shadow or something before it");
-    else if (!other)
-        snprintf(saw, sizeof saw, "saw none%s", blur_remark(remark, image));
-    else if (other->part)
-        snprintf(saw, sizeof saw, "one of more than %dx%d seems to be in the image: is it another board?",
-                 other->columns, other->rows);
-    else if (other->columns == columns - 1 && other->rows == rows - 1)
+                 *remark ? remark : ": noise, glare, shadow or something before it");
+    else if (!other || (*remark && (!whole || board_count(other) < count)))
+        snprintf(saw, sizeof saw, "saw none%s", remark);
+    else if (other->columns == columns - 1 && other->rows == rows - 1 && whole)
         snprintf(saw, sizeof saw,
                  "one of %dx%d seems to be in the image: were squares counted instead of corners?",
                  other->columns, other->rows);
     else
-        snprintf(saw, sizeof saw, "one of %dx%d seems to be in the image: is it another board%s?",
-                 other->columns, other->rows,
+        snprintf(saw, sizeof saw, "one of %s%dx%d seems to be in the image: is it another board%s?",
+                 whole ? "" : "more than ", other->columns, other->rows,
                  other->columns < columns || other->rows < rows ? ", or not wholly in view" : "");
     snprintf(detection->reason, sizeof detection->reason,
              "looked for a chessboard of %dx%d inner corners, %s", columns, rows, saw);

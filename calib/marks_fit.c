@@ -28,9 +28,8 @@ enum {
     MAX_NEIGHBOURS = 8,
 };
 
-/* Bulge per pixel of radius, one standard deviation: five times what k1 = -0.3 does at the edge of a wide
- * image. */
-static const double BULGE_PER_PX = 1e-3;
+/* Bulge per pixel of radius, one standard deviation: what k1 = -0.3 does at the edge of a wide image. */
+static const double BULGE_PER_PX = 2.5e-4;
 
 /* Share of the pixels that must be no outliers. */
 static const double LEAST_USED = 0.75;
@@ -453,7 +452,7 @@ static bool mark_outliers(problem *p)
     }
     int quartile = 0;
     while (4 * (seen += bin[quartile]) < 3 * (unsigned)p->rows) quartile++;
-    double limit = 4.5 / 1.15 * (quartile + 0.5) / per_level + 1 + 0.02 * contrast;
+    double limit = 5 / 1.15 * (quartile + 0.5) / per_level + 1 + 0.02 * contrast;
     bool changed = false, any = false;
     for (int i = 0; i < p->rows && !any; i++) any = pixel[i].outlier || fabs(pixel[i].residual) > limit;
     for (int i = 0; i < p->rows && any; i++) {
@@ -490,8 +489,7 @@ static void look_again(problem *p)
 }
 
 /* Descends until the next step would move the centre by less than a fifth of its sigma and the edge by less
- * than 0.03 px, and takes that step too. After the first step the model is near: outliers are told (too many
- * of them mean that it is not), and the Jacobian is kept while the steps are small. */
+ * than 0.03 px, and takes that step too. The Jacobian is kept while the steps are small. */
 static bool descend(problem *p)
 {
     double lambda = 1e-4;
@@ -536,7 +534,7 @@ static bool fit_edge(problem *p, bool *memory)
         double before[PARAMETERS], *q = p->p;
         memcpy(before, q, sizeof before);
         double smear = sqrt(q[TD_EDGE_BLUR] * q[TD_EDGE_BLUR] + 1.0 / 12);
-        if (!choose_pixels(p, 1 + 2.5 * smear, smear, memory)) return false;
+        if (!choose_pixels(p, 1.2 + 3 * smear, smear, memory)) return false;
         evaluate(p, true);
         double contrast = q[INSIDE] - q[OUTSIDE];
         double most = fmax(0.3 * fabs(contrast), 2 * p->fit->noise);

@@ -17,7 +17,7 @@ typedef enum shape { CLOUD, PLANES, HEIGHTS, SHAPES } shape;
 
 /* A camera, points and their exact images. */
 typedef struct scene {
-    double intrinsics[4];
+    double intrinsics[4], skew;
     td_pose pose; /* camera_from_target */
     size_t n;
     double point[3 * MOST], pixel[2 * MOST];
@@ -55,6 +55,7 @@ static void look(scene *s)
         assert_true(p[2] > 0.1);
         for (int k = 0; k < 2; k++)
             s->pixel[2 * i + k] = s->intrinsics[k] * p[k] / p[2] + s->intrinsics[2 + k];
+        s->pixel[2 * i] += s->skew * p[1] / p[2];
     }
 }
 
@@ -119,6 +120,8 @@ static void test_exact(void **state)
     for (int trial = 0; trial < 100; trial++)
         for (shape form = 0; form < SHAPES; form++) {
             scene base = make_scene(form, &random);
+            base.skew = trial % 2 ? 0 : between(&random, -20, 20);
+            look(&base);
             for (int frame = 0; frame < 4; frame++) {
                 scene s = frame ? in_another_frame(&base, &random, frame == 3 ? 3 : 0.5) : base;
                 td_error error = {0};
@@ -128,7 +131,7 @@ static void test_exact(void **state)
                     worst = fmax(worst, fabs(a.intrinsics[i] - s.intrinsics[i]) / s.intrinsics[0]);
                     check_near(a.intrinsics[i], s.intrinsics[i], 1e-10 * s.intrinsics[0]);
                 }
-                check_near(a.skew, 0, 1e-10 * s.intrinsics[0]);
+                check_near(a.skew, s.skew, 1e-10 * s.intrinsics[0]);
                 check_pose(&a.pose, &s.pose, 1e-10);
                 /* The matrix maps as the camera does, and its third row has length 1. */
                 check_near(a.p[8] * a.p[8] + a.p[9] * a.p[9] + a.p[10] * a.p[10], 1, 1e-12);
