@@ -25,18 +25,33 @@ static const char *const models[] = {"pinhole", "brown5", "brown8", "fisheye", N
 
 static cli_option options[] = {
     {.type = CLI_HEADING, .name = "How"},
-    {CLI_STRING, "method", 0, &method, "NAME", "first estimate: homography (flat targets), faugeras-toscani (targets with depth), visp (virtual visual servoing), or auto (default)", 0, 0, methods},
-    {CLI_STRING, "model", 0, &model, "NAME", "lens model of all cameras, instead of the dataset's: pinhole, brown5, brown8, fisheye", 0, 0, models},
-    {CLI_FLAG, "plain", 0, &plain, NULL, "least squares on all points alike: no outlier rejection, no board warp (what OpenCV and plain mrcal solve)", 0, 0, NULL},
-    {CLI_STRING, "warp", 0, &warp, "WHEN", "estimate the board's bulge: auto (default: kept when significant), on, off", 0, 0, warps},
-    {CLI_LIST, "fix", 0, &fixes, "WHAT", "hold a part at the values of --rig: CAMERA.intrinsics (with the distortion), CAMERA.distortion, CAMERA.pose, or CAMERA for all; may be repeated", 0, 0, NULL},
-    {CLI_STRING, "rig", 0, &rig_path, "FILE", "rig.yaml with the values for --fix; its covariance is passed on", 0, 0, NULL},
-    {CLI_STRING, "clicks", 0, &clicks_path, "FILE", "numbering of marks by hand: CSV with image, mark, x_px, y_px, up to nine for an image", 0, 0, NULL},
+    {CLI_STRING, "method", 0, &method, "NAME",
+     "first estimate: homography (flat targets), faugeras-toscani (targets with depth), visp (virtual visual "
+     "servoing), or auto (default)",
+     0, 0, methods},
+    {CLI_STRING, "model", 0, &model, "NAME",
+     "lens model of all cameras, instead of the dataset's: pinhole, brown5, brown8, fisheye", 0, 0, models},
+    {CLI_FLAG, "plain", 0, &plain, NULL,
+     "least squares on all points alike: no outlier rejection, no board warp (what OpenCV and plain mrcal "
+     "solve)",
+     0, 0, NULL},
+    {CLI_STRING, "warp", 0, &warp, "WHEN",
+     "estimate the board's bulge: auto (default: kept when significant), on, off", 0, 0, warps},
+    {CLI_LIST, "fix", 0, &fixes, "WHAT",
+     "hold a part at the values of --rig: CAMERA.intrinsics (with the distortion), CAMERA.distortion, "
+     "CAMERA.pose, or CAMERA for all; may be repeated",
+     0, 0, NULL},
+    {CLI_STRING, "rig", 0, &rig_path, "FILE",
+     "rig.yaml with the values for --fix; its covariance is passed on", 0, 0, NULL},
+    {CLI_STRING, "clicks", 0, &clicks_path, "FILE",
+     "numbering of marks by hand: CSV with image, mark, x_px, y_px, up to nine for an image", 0, 0, NULL},
     {CLI_FLAG, "no-leave-one-out", 0, &no_leave_one_out, NULL, "skip leaving out views in turn", 0, 0, NULL},
     {.type = CLI_HEADING, .name = "The quality gate"},
     {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
-    {CLI_FLAG, "accept", 0, &accept, NULL, "write rig.yaml and end with status 0 even when the gate refuses", 0, 0, NULL},
-    CLI_COMMON_OPTIONS(common, "folder for the products: rig.yaml, result.yaml, report.html, points.csv, log.jsonl",
+    {CLI_FLAG, "accept", 0, &accept, NULL, "write rig.yaml and end with status 0 even when the gate refuses",
+     0, 0, NULL},
+    CLI_COMMON_OPTIONS(common,
+                       "folder for the products: rig.yaml, result.yaml, report.html, points.csv, log.jsonl",
                        "this job draws none"),
 };
 
@@ -44,9 +59,12 @@ static cli_command command = {
     .name = "calibrate",
     .summary = "calibrate cameras and their relative poses from images of a target",
     .usage = "DATASET -o DIR [options]",
-    .text = "Finds the target (a chessboard, or circular marks) in every image of DATASET, estimates each camera, then "
-            "refines all cameras, views and the board's warp in one least-squares problem. Corners and views that do not "
-            "fit are named and left out. Everything gets its standard deviation; views are left out in turn to see how far "
+    .text = "Finds the target (a chessboard, or circular marks) in every image of DATASET, estimates each "
+            "camera, then "
+            "refines all cameras, views and the board's warp in one least-squares problem. Corners and views "
+            "that do not "
+            "fit are named and left out. Everything gets its standard deviation; views are left out in turn "
+            "to see how far "
             "the result can be trusted; a quality gate gives the verdict.\n\n"
             "DATASET is a folder with dataset.yaml and frames.csv:\n\n"
             "  # dataset.yaml\n"
@@ -58,12 +76,15 @@ static cli_command command = {
             "  # frames.csv\n"
             "  frame,left,right\n"
             "  01,left01.png,right01.png\n\n"
-            "columns and rows count the points: a chessboard's inner corners, or marks (with diameter_m). Exit status: 0 "
-            "done, 1 failed, 2 wrong usage, 3 the gate refuses the result (rig.yaml is then not written; --accept).",
-    .examples = "  teledimos calibrate datasets/opencv-stereo -o out\n"
-                "  teledimos calibrate datasets/visp-marks -o marks --json\n"
-                "  teledimos calibrate datasets/opencv-stereo -o again --rig out/rig.yaml --fix left.intrinsics\n"
-                "  teledimos calibrate datasets/opencv-stereo -o strict --gate rms_px=0.3\n",
+            "columns and rows count the points: a chessboard's inner corners, or marks (with diameter_m). "
+            "Exit status: 0 "
+            "done, 1 failed, 2 wrong usage, 3 the gate refuses the result (rig.yaml is then not written; "
+            "--accept).",
+    .examples =
+        "  teledimos calibrate datasets/opencv-stereo -o out\n"
+        "  teledimos calibrate datasets/visp-marks -o marks --json\n"
+        "  teledimos calibrate datasets/opencv-stereo -o again --rig out/rig.yaml --fix left.intrinsics\n"
+        "  teledimos calibrate datasets/opencv-stereo -o strict --gate rms_px=0.3\n",
     .option = options,
     .option_count = sizeof options / sizeof *options,
     .least = 0,
@@ -78,13 +99,14 @@ static const char *gate_help(void)
     snprintf(text, sizeof text, "refuse above VALUE; may be repeated. Defaults, and why:");
     for (size_t i = 0; i < calibrate_gate_count; i++) {
         const gate_row *g = &calibrate_gate_defaults[i];
-        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key, g->refuse,
-                 g->warn, g->why);
+        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
+                 g->refuse, g->warn, g->why);
     }
     return text;
 }
 
-static td_status parse_fix(td_calibrate_options *o, const td_dataset *dataset, const char *text, td_error *error)
+static td_status parse_fix(td_calibrate_options *o, const td_dataset *dataset, const char *text,
+                           td_error *error)
 {
     size_t length = strcspn(text, ".");
     static const struct {
@@ -95,13 +117,15 @@ static td_status parse_fix(td_calibrate_options *o, const td_dataset *dataset, c
                  {".distortion", TD_HOLD_DISTORTION},
                  {".pose", TD_HOLD_POSE}};
     for (int c = 0; c < dataset->camera_count; c++) {
-        if (strlen(dataset->camera[c].name) != length || strncmp(dataset->camera[c].name, text, length) != 0) continue;
+        if (strlen(dataset->camera[c].name) != length || strncmp(dataset->camera[c].name, text, length) != 0)
+            continue;
         for (size_t i = 0; i < sizeof parts / sizeof *parts; i++)
             if (strcmp(text + length, parts[i].name) == 0) {
                 o->hold[c] |= parts[i].hold;
                 return TD_OK;
             }
-        return td_fail(error, TD_ERROR_ARGUMENT, "--fix %s: a camera has intrinsics, distortion and pose", text);
+        return td_fail(error, TD_ERROR_ARGUMENT, "--fix %s: a camera has intrinsics, distortion and pose",
+                       text);
     }
     return td_fail(error, TD_ERROR_ARGUMENT, "--fix %s: the dataset has no camera of that name", text);
 }
@@ -111,8 +135,8 @@ static void hash_text(td_hash *hash, const char *text)
     td_hash_add(hash, text, strlen(text) + 1);
 }
 
-/* SHA-256 over what the result depends on: the description, and each frame's name and images by their bytes. Where the
- * images lie does not count. */
+/* SHA-256 over what the result depends on: the description, and each frame's name and images by their bytes.
+ * Where the images lie does not count. */
 static td_status hash_dataset(char hex[65], const td_dataset *dataset, td_error *error)
 {
     td_hash *hash;
@@ -127,13 +151,15 @@ static td_status hash_dataset(char hex[65], const td_dataset *dataset, td_error 
         hash_text(hash, part);
         for (int c = 0; c < dataset->camera_count; c++) {
             const char *image = dataset->frame[v].image[c];
-            hash_text(hash, image && !dataset->corners && td_hash_file(part, image, NULL) == TD_OK ? part : "");
+            hash_text(hash,
+                      image && !dataset->corners && td_hash_file(part, image, NULL) == TD_OK ? part : "");
         }
     }
     return td_hash_finish(hex, &hash, error);
 }
 
-static td_status write_text(const char *folder, const char *name, const char *text, size_t size, td_error *error)
+static td_status write_text(const char *folder, const char *name, const char *text, size_t size,
+                            td_error *error)
 {
     char *path = td_path_join(folder, name);
     if (!path) return td_fail(error, TD_ERROR_MEMORY, "no memory for a path");
@@ -166,7 +192,8 @@ static td_status write_products(const calibrate_job *job, json_t *result, const 
     bool wanted = job->gate->verdict != VERDICT_REFUSED || accept;
     if (!wanted) json_object_del(json_object_get(result, "products"), "rig");
     TD_TRY(td_folder_make(folder, error));
-    char comment[128], *path = td_path_join(folder, "points.csv"), *report = td_path_join(folder, "report.html");
+    char comment[128], *path = td_path_join(folder, "points.csv"),
+                       *report = td_path_join(folder, "report.html");
     snprintf(comment, sizeof comment, "points of dataset %s, sha256 %s", job->dataset->name, job->hash);
     td_status status = path && report ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for a path");
     if (status == TD_OK) status = td_observations_write(job->observations, comment, path, error);
@@ -195,12 +222,13 @@ static td_status print_result(const calibrate_job *job, const json_t *result, td
         if (job->gate->verdict == VERDICT_REFUSED && !accept)
             printf("rig.yaml was not written: mend what the reasons name, or pass --accept\n");
     }
-    return fflush(stdout) == 0 && !ferror(stdout) ? TD_OK
-                                                  : td_fail(error, TD_ERROR_IO, "standard output cannot be written");
+    return fflush(stdout) == 0 && !ferror(stdout)
+               ? TD_OK
+               : td_fail(error, TD_ERROR_IO, "standard output cannot be written");
 }
 
-static td_status finish(calibrate_job *job, gate_result *gate, const gate_row *rows, terminal *term, char **log,
-                        size_t *log_size, td_error *error)
+static td_status finish(calibrate_job *job, gate_result *gate, const gate_row *rows, terminal *term,
+                        char **log, size_t *log_size, td_error *error)
 {
     calibrate_judge(gate, rows, job->dataset, job->observations, job->calibration);
     job->gate = gate;
@@ -214,15 +242,17 @@ static td_status finish(calibrate_job *job, gate_result *gate, const gate_row *r
     return status;
 }
 
-static td_status read_inputs(td_dataset **dataset, td_rig **rig, td_image_clicks **clicks, size_t *click_count,
-                             td_calibrate_options *o, gate_row *rows, td_error *error)
+static td_status read_inputs(td_dataset **dataset, td_rig **rig, td_image_clicks **clicks,
+                             size_t *click_count, td_calibrate_options *o, gate_row *rows, td_error *error)
 {
-    for (size_t i = 0; i < gates.count; i++) TD_TRY(gate_set(rows, calibrate_gate_count, gates.value[i], error));
+    for (size_t i = 0; i < gates.count; i++)
+        TD_TRY(gate_set(rows, calibrate_gate_count, gates.value[i], error));
     TD_TRY(td_dataset_read(dataset, dataset_path, error));
     for (int c = 0; model && c < (*dataset)->camera_count; c++)
         (*dataset)->camera[c].model = td_camera_model_from_name(model);
     if (rig_path) TD_TRY(td_rig_read(rig, rig_path, error));
-    if (fixes.count && !*rig) return td_fail(error, TD_ERROR_ARGUMENT, "--fix needs the values to hold: --rig FILE");
+    if (fixes.count && !*rig)
+        return td_fail(error, TD_ERROR_ARGUMENT, "--fix needs the values to hold: --rig FILE");
     for (size_t i = 0; i < fixes.count; i++) TD_TRY(parse_fix(o, *dataset, fixes.value[i], error));
     if (clicks_path) TD_TRY(td_clicks_read(clicks, click_count, clicks_path, error));
     o->known = *rig;
@@ -259,12 +289,15 @@ static int run(void)
     td_observe_options observe = {.threads = common.threads, .progress = &progress, .log = &logger};
 
     td_status status = gate && term.log_file ? TD_OK : td_fail(&error, TD_ERROR_MEMORY, "out of memory");
-    if (status == TD_OK) status = read_inputs(&dataset, &rig, &clicks, &observe.click_count, &o, rows, &error);
+    if (status == TD_OK)
+        status = read_inputs(&dataset, &rig, &clicks, &observe.click_count, &o, rows, &error);
     observe.clicks = clicks;
-    if (status == TD_OK) td_log_write(&logger, TD_LOG_INFO, "calibrate", "reading %zu frames", dataset->frame_count);
+    if (status == TD_OK)
+        td_log_write(&logger, TD_LOG_INFO, "calibrate", "reading %zu frames", dataset->frame_count);
     if (status == TD_OK) status = td_observe(&observations, dataset, &observe, &error);
     if (status == TD_OK) status = td_calibrate(&calibration, observations, &o, &error);
-    calibrate_job job = {.dataset = dataset, .observations = observations, .calibration = calibration, .options = &o};
+    calibrate_job job = {
+        .dataset = dataset, .observations = observations, .calibration = calibration, .options = &o};
     if (status == TD_OK) status = hash_dataset(job.hash, dataset, &error);
     terminal_clear(&term);
     if (status == TD_OK) status = finish(&job, gate, rows, &term, &log, &log_size, &error);
@@ -300,8 +333,8 @@ int main(int argc, char **argv)
         return EXIT_DONE;
     }
     if (!dataset_path || !common.output || !*common.output) {
-        cli_complain(command.name, "%s is missing (usage: teledimos %s %s)", dataset_path ? "-o DIR" : "DATASET",
-                     command.name, command.usage);
+        cli_complain(command.name, "%s is missing (usage: teledimos %s %s)",
+                     dataset_path ? "-o DIR" : "DATASET", command.name, command.usage);
         return EXIT_USAGE;
     }
     terminal_catch_signals();

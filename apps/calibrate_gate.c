@@ -6,10 +6,13 @@
 
 const gate_row calibrate_gate_defaults[] = {
     {"rms_px", 0.5, 1.0, "residual of each camera; a good board and lens give 0.1 to 0.4 px"},
-    {"epipolar_error_px", 0.6, 1.2, "distances to both epipolar lines, added; matching needs rows right to a pixel"},
-    {"leave_one_out_ratio", 1.4, 2.0, "residual of held-out views over that of used ones; above, the model is overfitted"},
+    {"epipolar_error_px", 0.6, 1.2,
+     "distances to both epipolar lines, added; matching needs rows right to a pixel"},
+    {"leave_one_out_ratio", 1.4, 2.0,
+     "residual of held-out views over that of used ones; above, the model is overfitted"},
     {"outlier_share", 0.1, 0.3, "points left out over points seen"},
-    {"weak", 0.7, 1.0, "severity of the worst weak direction; 1: focal length, centre or baseline known to 2 %"},
+    {"weak", 0.7, 1.0,
+     "severity of the worst weak direction; 1: focal length, centre or baseline known to 2 %"},
     {"baseline_sigmas", 2.0, 3.0, "distance from the expected baseline over tolerance and sigma"},
 };
 const size_t calibrate_gate_count = sizeof calibrate_gate_defaults / sizeof *calibrate_gate_defaults;
@@ -27,19 +30,23 @@ static void judge_cameras(gate_result *g, const gate_row *rows, const td_calibra
         gate_check(g, rows, calibrate_gate_count, "outlier_share", share,
                    "%s: %.0f %% of the points were left out as outliers", name, 100 * share);
         if (camera->views < 8)
-            gate_add(g, VERDICT_WARNED, "%s: %zu views were used; 10 or more, spread over the image, give a firmer result",
-                     name, camera->views);
+            gate_add(g, VERDICT_WARNED,
+                     "%s: %zu views were used; 10 or more, spread over the image, give a firmer result", name,
+                     camera->views);
     }
 }
 
-static void judge_baseline(gate_result *g, const gate_row *rows, const td_dataset *dataset, const td_calibration *c)
+static void judge_baseline(gate_result *g, const gate_row *rows, const td_dataset *dataset,
+                           const td_calibration *c)
 {
     if (!dataset || isnan(dataset->expected_baseline_m) || !c->pair_count) return;
     const td_calibrated_pair *p = &c->pair[0];
     double off = p->baseline_m - dataset->expected_baseline_m;
-    double scale = hypot(dataset->expected_tolerance_m / 2, isfinite(p->sigma_baseline_m) ? p->sigma_baseline_m : 0);
+    double scale =
+        hypot(dataset->expected_tolerance_m / 2, isfinite(p->sigma_baseline_m) ? p->sigma_baseline_m : 0);
     gate_check(g, rows, calibrate_gate_count, "baseline_sigmas", fabs(off) / scale,
-               "the baseline comes out as %.2f mm, %.2f mm was expected: if the tape is right, spacing_m should be %.5g "
+               "the baseline comes out as %.2f mm, %.2f mm was expected: if the tape is right, spacing_m "
+               "should be %.5g "
                "instead of %.5g",
                1e3 * p->baseline_m, 1e3 * dataset->expected_baseline_m,
                dataset->target.plane[0].spacing_m * dataset->expected_baseline_m / p->baseline_m,
@@ -50,19 +57,23 @@ static void judge_views(gate_result *g, const td_observations *o, const td_calib
 {
     size_t missed = 0, seen_views = 0;
     for (size_t v = 0; v < c->view_count; v++) {
-        if (c->view[v].remark[0]) gate_add(g, VERDICT_WARNED, "view %s: %s", o->view_name[v], c->view[v].remark);
+        if (c->view[v].remark[0])
+            gate_add(g, VERDICT_WARNED, "view %s: %s", o->view_name[v], c->view[v].remark);
         bool any = false;
         for (int k = 0; k < o->camera_count; k++) {
             const td_detection *d = td_observations_get(o, v, k);
             any |= d->found;
             if (!d->found && d->reason[0] && missed++ < 5)
-                gate_add(g, VERDICT_ACCEPTED, "view %s, %s: not used, %s", o->view_name[v], o->camera[k].name, d->reason);
+                gate_add(g, VERDICT_ACCEPTED, "view %s, %s: not used, %s", o->view_name[v], o->camera[k].name,
+                         d->reason);
         }
         seen_views += any;
     }
-    if (missed > 5) gate_add(g, VERDICT_ACCEPTED, "and %zu more images without the target (see result.yaml)", missed - 5);
+    if (missed > 5)
+        gate_add(g, VERDICT_ACCEPTED, "and %zu more images without the target (see result.yaml)", missed - 5);
     if (c->view_count && seen_views * 2 < c->view_count)
-        gate_add(g, VERDICT_WARNED, "the target was found in %zu of %zu views only", seen_views, c->view_count);
+        gate_add(g, VERDICT_WARNED, "the target was found in %zu of %zu views only", seen_views,
+                 c->view_count);
 }
 
 /* Blur of each image against the camera's median. */
@@ -80,16 +91,17 @@ static void judge_blur(gate_result *g, const td_observations *o, const td_calibr
         for (size_t v = 0; v < o->view_count; v++) {
             const td_detection *d = td_observations_get(o, v, k);
             if (d->found && d->blur_px > 2 * usual && d->blur_px > 1.5)
-                gate_add(g, VERDICT_WARNED,
-                         "view %s, %s: blurred (edges %.1f px wide, the others %.1f px); its points count less%s",
-                         o->view_name[v], o->camera[k].name, d->blur_px, usual,
-                         c->view[v].state == TD_VIEW_OUTLIER ? "" : ", take it again with the board at rest");
+                gate_add(
+                    g, VERDICT_WARNED,
+                    "view %s, %s: blurred (edges %.1f px wide, the others %.1f px); its points count less%s",
+                    o->view_name[v], o->camera[k].name, d->blur_px, usual,
+                    c->view[v].state == TD_VIEW_OUTLIER ? "" : ", take it again with the board at rest");
         }
     }
 }
 
-void calibrate_judge(gate_result *g, const gate_row *rows, const td_dataset *dataset, const td_observations *o,
-                     const td_calibration *c)
+void calibrate_judge(gate_result *g, const gate_row *rows, const td_dataset *dataset,
+                     const td_observations *o, const td_calibration *c)
 {
     *g = (gate_result){.verdict = VERDICT_ACCEPTED};
     for (size_t i = 0; i < c->weak_count; i++)
@@ -101,13 +113,15 @@ void calibrate_judge(gate_result *g, const gate_row *rows, const td_dataset *dat
                    c->rig->camera[c->pair[i].second].name, c->pair[i].epipolar_error_px);
     if (c->leave_one_out.views)
         gate_check(g, rows, calibrate_gate_count, "leave_one_out_ratio", c->leave_one_out.rms_px / c->rms_px,
-                   "views left out fit %.2f px RMS against %.2f px when used: the result leans on single views; add more",
+                   "views left out fit %.2f px RMS against %.2f px when used: the result leans on single "
+                   "views; add more",
                    c->leave_one_out.rms_px, c->rms_px);
     judge_baseline(g, rows, dataset, c);
     judge_views(g, o, c);
     judge_blur(g, o, c);
     if (!c->covariance_known)
         gate_add(g, VERDICT_WARNED,
-                 "what is held has no covariance (or is held in part), so rig.yaml carries none: sigmas here take the held "
+                 "what is held has no covariance (or is held in part), so rig.yaml carries none: sigmas here "
+                 "take the held "
                  "values as exact");
 }

@@ -15,8 +15,8 @@ typedef struct calibrate_job {
     const td_calibration *calibration;
     const td_calibrate_options *options;
     const gate_result *gate;
-    char hash[65];    /* SHA-256 of description and images */
-    bool reused;      /* points were taken from an earlier run's corners.csv */
+    char hash[65]; /* SHA-256 of description and images */
+    bool reused;   /* points were taken from an earlier run's corners.csv */
 } calibrate_job;
 
 /* calibrate_gate.c */

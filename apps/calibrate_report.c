@@ -22,14 +22,16 @@ void calibrate_table(const calibrate_job *job)
     for (int i = 0; i < c->rig->count; i++) {
         const td_calibrated_camera *k = &c->camera[i];
         const double *p = c->rig->camera[i].camera.parameter;
-        printf("%-10s %7zu %8.4f %10.3f ± %-6.3f %10.3f ± %-6.3f %10.3f ± %-6.3f\n", c->rig->camera[i].name, k->views,
-               k->rms_px, p[0], k->sigma[0], p[2], k->sigma[2], p[3], k->sigma[3]);
+        printf("%-10s %7zu %8.4f %10.3f ± %-6.3f %10.3f ± %-6.3f %10.3f ± %-6.3f\n", c->rig->camera[i].name,
+               k->views, k->rms_px, p[0], k->sigma[0], p[2], k->sigma[2], p[3], k->sigma[3]);
     }
     for (size_t i = 0; i < c->pair_count; i++) {
         const td_calibrated_pair *p = &c->pair[i];
-        printf("\n%s–%s: RMS %.4f px over %zu pairs, baseline %.3f ± %.3f mm, rotation %.3f°, epipolar error %.3f px\n",
-               c->rig->camera[p->first].name, c->rig->camera[p->second].name, p->rms_px, p->pairs, 1e3 * p->baseline_m,
-               1e3 * p->sigma_baseline_m, p->rotation_rad * DEGREES, p->epipolar_error_px);
+        printf("\n%s–%s: RMS %.4f px over %zu pairs, baseline %.3f ± %.3f mm, rotation %.3f°, epipolar error "
+               "%.3f px\n",
+               c->rig->camera[p->first].name, c->rig->camera[p->second].name, p->rms_px, p->pairs,
+               1e3 * p->baseline_m, 1e3 * p->sigma_baseline_m, p->rotation_rad * DEGREES,
+               p->epipolar_error_px);
     }
     const td_leave_one_out *l = &c->leave_one_out;
     if (l->views) {
@@ -40,13 +42,14 @@ void calibrate_table(const calibrate_job *job)
         putchar('\n');
     }
     if (c->has_warp)
-        printf("board: bulges by %+.3f ± %.3f mm along its rows, %+.3f ± %.3f mm along its columns\n", 1e3 * c->warp_m[0],
-               1e3 * c->sigma_warp_m[0], 1e3 * c->warp_m[1], 1e3 * c->sigma_warp_m[1]);
+        printf("board: bulges by %+.3f ± %.3f mm along its rows, %+.3f ± %.3f mm along its columns\n",
+               1e3 * c->warp_m[0], 1e3 * c->sigma_warp_m[0], 1e3 * c->warp_m[1], 1e3 * c->sigma_warp_m[1]);
     printf("\nverdict: %s\n", verdict_name(job->gate->verdict));
     for (size_t i = 0; i < job->gate->count; i++) printf("  - %s\n", job->gate->reason[i]);
 }
 
-/* A row for each parameter, two columns for each camera. Cameras may be of different models: names join rows. */
+/* A row for each parameter, two columns for each camera. Cameras may be of different models: names join rows.
+ */
 static void camera_table(td_report *r, const td_calibration *c)
 {
     const char *heads[1 + 2 * TD_RIG_MAX_CAMERAS], *rows[64];
@@ -73,8 +76,16 @@ static void camera_table(td_report *r, const td_calibration *c)
             const td_camera *camera = &c->rig->camera[i].camera;
             int k = td_camera_parameter_count(camera->model) - 1;
             while (k >= 0 && strcmp(rows[row], td_camera_parameter_name(camera->model, k)) != 0) k--;
-            td_report_cell(r, TD_TONE_PLAIN, k < 0 ? "–" : pixels ? "%.3f" : "%.6f", k < 0 ? 0 : camera->parameter[k]);
-            td_report_cell(r, TD_TONE_PLAIN, k < 0 ? "–" : pixels ? "%.3f" : "%.6f", k < 0 ? 0 : c->camera[i].sigma[k]);
+            td_report_cell(r, TD_TONE_PLAIN,
+                           k < 0    ? "–"
+                           : pixels ? "%.3f"
+                                    : "%.6f",
+                           k < 0 ? 0 : camera->parameter[k]);
+            td_report_cell(r, TD_TONE_PLAIN,
+                           k < 0    ? "–"
+                           : pixels ? "%.3f"
+                                    : "%.6f",
+                           k < 0 ? 0 : c->camera[i].sigma[k]);
         }
         td_report_row_end(r);
     }
@@ -86,14 +97,15 @@ static void pair_text(td_report *r, const td_calibration *c)
     for (size_t i = 0; i < c->pair_count; i++) {
         const td_calibrated_pair *p = &c->pair[i];
         const double *t = p->second_from_first.t;
-        td_report_text(r,
-                       "%s from %s: translation (%.3f, %.3f, %.3f) mm, baseline %.3f ± %.3f mm; rotation %.4f° with "
-                       "σ (%.4f, %.4f, %.4f)° about the camera's x, y, z. Mean distance to both epipolar lines, added: "
-                       "%.3f px.",
-                       c->rig->camera[p->second].name, c->rig->camera[p->first].name, 1e3 * t[0], 1e3 * t[1], 1e3 * t[2],
-                       1e3 * p->baseline_m, 1e3 * p->sigma_baseline_m, p->rotation_rad * DEGREES,
-                       p->sigma_rotation_rad[0] * DEGREES, p->sigma_rotation_rad[1] * DEGREES,
-                       p->sigma_rotation_rad[2] * DEGREES, p->epipolar_error_px);
+        td_report_text(
+            r,
+            "%s from %s: translation (%.3f, %.3f, %.3f) mm, baseline %.3f ± %.3f mm; rotation %.4f° with "
+            "σ (%.4f, %.4f, %.4f)° about the camera's x, y, z. Mean distance to both epipolar lines, added: "
+            "%.3f px.",
+            c->rig->camera[p->second].name, c->rig->camera[p->first].name, 1e3 * t[0], 1e3 * t[1], 1e3 * t[2],
+            1e3 * p->baseline_m, 1e3 * p->sigma_baseline_m, p->rotation_rad * DEGREES,
+            p->sigma_rotation_rad[0] * DEGREES, p->sigma_rotation_rad[1] * DEGREES,
+            p->sigma_rotation_rad[2] * DEGREES, p->epipolar_error_px);
     }
 }
 
@@ -127,7 +139,8 @@ static void view_table(td_report *r, const calibrate_job *job)
             if (view->points[k]) {
                 td_report_cell(r, TD_TONE_PLAIN, "%.3f", view->rms_px[k]);
                 td_report_cell(r, view->outliers[k] ? TD_TONE_WARN : TD_TONE_PLAIN,
-                               view->outliers[k] ? "%zu, %zu out" : "%zu", view->points[k], view->outliers[k]);
+                               view->outliers[k] ? "%zu, %zu out" : "%zu", view->points[k],
+                               view->outliers[k]);
             } else {
                 td_report_cell(r, TD_TONE_PLAIN, "–");
                 td_report_cell(r, TD_TONE_PLAIN, "–");
@@ -199,13 +212,31 @@ static void residual_plots(td_report *r, const calibrate_job *job)
         char title[TD_NAME_SIZE + 32];
         snprintf(title, sizeof title, "%s: residuals over the image", c->rig->camera[k].name);
         double scale = vector_scale(camera, c->camera[k].rms_px);
-        const td_series series[2] = {{.label = "used", .shape = TD_SHAPE_POINT, .count = g.count[0], .x = g.x[0],
-                                      .y = g.y[0], .dx = g.dx[0], .dy = g.dy[0], .vector_scale = scale},
-                                     {.label = "left out", .shape = TD_SHAPE_CROSS, .tone = TD_TONE_BAD,
-                                      .count = g.count[1], .x = g.x[1], .y = g.y[1], .dx = g.dx[1], .dy = g.dy[1],
+        const td_series series[2] = {{.label = "used",
+                                      .shape = TD_SHAPE_POINT,
+                                      .count = g.count[0],
+                                      .x = g.x[0],
+                                      .y = g.y[0],
+                                      .dx = g.dx[0],
+                                      .dy = g.dy[0],
+                                      .vector_scale = scale},
+                                     {.label = "left out",
+                                      .shape = TD_SHAPE_CROSS,
+                                      .tone = TD_TONE_BAD,
+                                      .count = g.count[1],
+                                      .x = g.x[1],
+                                      .y = g.y[1],
+                                      .dx = g.dx[1],
+                                      .dy = g.dy[1],
                                       .vector_scale = scale}};
-        const td_axes axes = {.title = title, .x_label = "x (px)", .y_label = "y (px)", .x_min = -0.5,
-                              .x_max = camera->width - 0.5, .y_min = -0.5, .y_max = camera->height - 0.5, .equal = 1,
+        const td_axes axes = {.title = title,
+                              .x_label = "x (px)",
+                              .y_label = "y (px)",
+                              .x_min = -0.5,
+                              .x_max = camera->width - 0.5,
+                              .y_min = -0.5,
+                              .y_max = camera->height - 0.5,
+                              .equal = 1,
                               .y_down = 1};
         td_report_plot(r, &axes, series, g.count[1] ? 2 : 1);
         gathered_free(&g);
@@ -216,7 +247,8 @@ static void residual_plots(td_report *r, const calibrate_job *job)
         char title[TD_NAME_SIZE + 32];
         snprintf(title, sizeof title, "%s: residuals (px)", c->rig->camera[k].name);
         const td_series series = {.shape = TD_SHAPE_POINT, .count = g.count[0], .x = g.dx[0], .y = g.dy[0]};
-        const td_axes axes = {.title = title, .x_label = "dx (px)", .y_label = "dy (px)", .equal = 1, .y_down = 1};
+        const td_axes axes = {
+            .title = title, .x_label = "dx (px)", .y_label = "dy (px)", .equal = 1, .y_down = 1};
         td_report_plot(r, &axes, &series, 1);
         gathered_free(&g);
     }
@@ -232,12 +264,19 @@ static void rms_plot(td_report *r, const calibrate_job *job)
     for (size_t v = 0; v < c->view_count && names && x; v++) {
         names[v] = job->observations->view_name[v];
         x[v] = (double)v;
-        for (int k = 0; k < c->rig->count; k++) x[(size_t)(k + 1) * (c->view_count + 1) + v] = c->view[v].rms_px[k];
+        for (int k = 0; k < c->rig->count; k++)
+            x[(size_t)(k + 1) * (c->view_count + 1) + v] = c->view[v].rms_px[k];
     }
     for (int k = 0; k < c->rig->count && names && x; k++)
-        series[k] = (td_series){.label = c->rig->camera[k].name, .shape = TD_SHAPE_BAR, .count = c->view_count, .x = x,
+        series[k] = (td_series){.label = c->rig->camera[k].name,
+                                .shape = TD_SHAPE_BAR,
+                                .count = c->view_count,
+                                .x = x,
                                 .y = x + (size_t)(k + 1) * (c->view_count + 1)};
-    const td_axes axes = {.title = "residual of each view", .x_label = "view", .y_label = "RMS (px)", .x_names = names,
+    const td_axes axes = {.title = "residual of each view",
+                          .x_label = "view",
+                          .y_label = "RMS (px)",
+                          .x_names = names,
                           .x_name_count = c->view_count};
     if (names && x) td_report_plot(r, &axes, series, (size_t)c->rig->count);
     free(names);
@@ -250,8 +289,10 @@ static void pictures(td_report *r, const calibrate_job *job)
     size_t shown = 0, cameras = (size_t)job->observations->camera_count;
     if (job->dataset->corners) return; /* there are no images */
     td_report_heading(r, "Points over the images");
-    td_report_text(r, "Lines lead from where the calibration puts each point to where it was seen, drawn 50 times longer. "
-                      "Points that were left out are crosses.");
+    td_report_text(
+        r,
+        "Lines lead from where the calibration puts each point to where it was seen, drawn 50 times longer. "
+        "Points that were left out are crosses.");
     td_report_grid_begin(r, cameras > 1 ? 2 : 3);
     for (size_t v = 0; v < job->calibration->view_count; v++)
         for (size_t k = 0; k < cameras && shown < MOST; k++) {
@@ -260,10 +301,21 @@ static void pictures(td_report *r, const calibrate_job *job)
             gathered g;
             if (!path || td_image_read(&image, path, 1, NULL) != TD_OK) continue;
             if (gather(&g, job, (int)k, v, v + 1)) {
-                const td_series series[2] = {{.shape = TD_SHAPE_POINT, .count = g.count[0], .x = g.x[0], .y = g.y[0],
-                                              .dx = g.dx[0], .dy = g.dy[0], .vector_scale = 50},
-                                             {.shape = TD_SHAPE_CROSS, .tone = TD_TONE_BAD, .count = g.count[1],
-                                              .x = g.x[1], .y = g.y[1], .dx = g.dx[1], .dy = g.dy[1], .vector_scale = 50}};
+                const td_series series[2] = {{.shape = TD_SHAPE_POINT,
+                                              .count = g.count[0],
+                                              .x = g.x[0],
+                                              .y = g.y[0],
+                                              .dx = g.dx[0],
+                                              .dy = g.dy[0],
+                                              .vector_scale = 50},
+                                             {.shape = TD_SHAPE_CROSS,
+                                              .tone = TD_TONE_BAD,
+                                              .count = g.count[1],
+                                              .x = g.x[1],
+                                              .y = g.y[1],
+                                              .dx = g.dx[1],
+                                              .dy = g.dy[1],
+                                              .vector_scale = 50}};
                 char caption[TD_TEXT_SIZE + TD_NAME_SIZE];
                 const td_detection *d = td_observations_get(job->observations, v, (int)k);
                 if (d->found)
@@ -309,14 +361,16 @@ td_status calibrate_report(const calibrate_job *job, const char *path, td_error 
     if (!r) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for the report", path);
     const char *sentences[GATE_MAX_REASONS];
     for (size_t i = 0; i < job->gate->count; i++) sentences[i] = job->gate->reason[i];
-    td_report_verdict(r, verdict_tone(job->gate->verdict), verdict_name(job->gate->verdict), sentences, job->gate->count);
+    td_report_verdict(r, verdict_tone(job->gate->verdict), verdict_name(job->gate->verdict), sentences,
+                      job->gate->count);
     figures(r, job);
     td_report_heading(r, "Cameras");
     camera_table(r, c);
     pair_text(r, c);
     if (c->has_warp)
-        td_report_text(r, "The board bulges by %+.3f ± %.3f mm along its rows and %+.3f ± %.3f mm along its columns.",
-                       1e3 * c->warp_m[0], 1e3 * c->sigma_warp_m[0], 1e3 * c->warp_m[1], 1e3 * c->sigma_warp_m[1]);
+        td_report_text(
+            r, "The board bulges by %+.3f ± %.3f mm along its rows and %+.3f ± %.3f mm along its columns.",
+            1e3 * c->warp_m[0], 1e3 * c->sigma_warp_m[0], 1e3 * c->warp_m[1], 1e3 * c->sigma_warp_m[1]);
     td_report_heading(r, "Residuals");
     residual_plots(r, job);
     rms_plot(r, job);

@@ -29,7 +29,8 @@ const td_schema_row calibrate_schema[] = {
     {"cameras.*.height_px", TD_SCHEMA_INT, true, false, "of its images"},
     {"cameras.*.rms_px", TD_SCHEMA_REAL, true, true, "sqrt(sum of squared residuals / points), used points"},
     {"cameras.*.mono_rms_px", TD_SCHEMA_REAL, true, true, "the same when calibrated alone, all points"},
-    {"cameras.*.noise_px", TD_SCHEMA_REAL, true, false, "standard deviation common to its points beyond their own, per coordinate"},
+    {"cameras.*.noise_px", TD_SCHEMA_REAL, true, false,
+     "standard deviation common to its points beyond their own, per coordinate"},
     {"cameras.*.views", TD_SCHEMA_INT, true, false, "used"},
     {"cameras.*.points", TD_SCHEMA_INT, true, false, "used"},
     {"cameras.*.outlier_points", TD_SCHEMA_INT, true, false, "seen and left out"},
@@ -38,42 +39,53 @@ const td_schema_row calibrate_schema[] = {
     {"cameras.*.distortion", TD_SCHEMA_REALS, true, false, "the model's coefficients"},
     {"cameras.*.sigma_intrinsics", TD_SCHEMA_REALS, true, true, "standard deviations, px"},
     {"cameras.*.sigma_distortion", TD_SCHEMA_REALS, true, true, "standard deviations"},
-    {"cameras.*.camera_from_rig", TD_SCHEMA_OBJECT, true, false, "pose; the rig's frame is the first camera's"},
+    {"cameras.*.camera_from_rig", TD_SCHEMA_OBJECT, true, false,
+     "pose; the rig's frame is the first camera's"},
     {"cameras.*.camera_from_rig.q", TD_SCHEMA_REALS, true, false, "unit quaternion w x y z"},
     {"cameras.*.camera_from_rig.t_m", TD_SCHEMA_REALS, true, false, "translation, m"},
-    {"cameras.*.perspective_matrix", TD_SCHEMA_MATRIX, true, false, "P = K [R t] of undistorted pixels, from the rig's frame"},
+    {"cameras.*.perspective_matrix", TD_SCHEMA_MATRIX, true, false,
+     "P = K [R t] of undistorted pixels, from the rig's frame"},
     {"stereo", TD_SCHEMA_OBJECT, false, false, "the second camera relative to the first"},
-    {"pairs", TD_SCHEMA_OBJECT, false, false, "each camera relative to the first, by name; more than two cameras"},
+    {"pairs", TD_SCHEMA_OBJECT, false, false,
+     "each camera relative to the first, by name; more than two cameras"},
     {"pairs.*", TD_SCHEMA_OBJECT, true, false, "as stereo"},
-#define PAIR_ROWS(prefix)                                                                                              \
-    {prefix ".first", TD_SCHEMA_STRING, true, false, "camera"},                                                        \
-    {prefix ".second", TD_SCHEMA_STRING, true, false, "camera"},                                                       \
-    {prefix ".views", TD_SCHEMA_INT, true, false, "in which both saw the target"},                                     \
-    {prefix ".rms_px", TD_SCHEMA_REAL, true, true, "over the used points of both"},                                    \
-    {prefix ".baseline_m", TD_SCHEMA_REAL, true, false, "distance of the centres"},                                    \
-    {prefix ".sigma_baseline_m", TD_SCHEMA_REAL, true, true, "standard deviation"},                                    \
-    {prefix ".rotation_deg", TD_SCHEMA_REAL, true, false, "angle of the relative rotation"},                           \
-    {prefix ".sigma_rotation_deg", TD_SCHEMA_REALS, true, true, "standard deviations about the second camera's x y z"},\
-    {prefix ".second_from_first", TD_SCHEMA_OBJECT, true, false, "relative pose"},                                     \
-    {prefix ".second_from_first.q", TD_SCHEMA_REALS, true, false, "unit quaternion w x y z"},                          \
-    {prefix ".second_from_first.t_m", TD_SCHEMA_REALS, true, false, "translation, m"},                                 \
-    {prefix ".epipolar_error_px", TD_SCHEMA_REAL, true, true, "mean of the distances to both epipolar lines, added"},  \
-    {prefix ".essential_matrix", TD_SCHEMA_MATRIX, true, false, "y2^T E y1 = 0, normalised coordinates"},              \
-    {prefix ".fundamental_matrix", TD_SCHEMA_MATRIX, true, false, "x2^T F x1 = 0, undistorted pixels; unit norm"}
+#define PAIR_ROWS(prefix)                                                                                    \
+    {prefix ".first", TD_SCHEMA_STRING, true, false, "camera"},                                              \
+        {prefix ".second", TD_SCHEMA_STRING, true, false, "camera"},                                         \
+        {prefix ".views", TD_SCHEMA_INT, true, false, "in which both saw the target"},                       \
+        {prefix ".rms_px", TD_SCHEMA_REAL, true, true, "over the used points of both"},                      \
+        {prefix ".baseline_m", TD_SCHEMA_REAL, true, false, "distance of the centres"},                      \
+        {prefix ".sigma_baseline_m", TD_SCHEMA_REAL, true, true, "standard deviation"},                      \
+        {prefix ".rotation_deg", TD_SCHEMA_REAL, true, false, "angle of the relative rotation"},             \
+        {prefix ".sigma_rotation_deg", TD_SCHEMA_REALS, true, true,                                          \
+         "standard deviations about the second camera's x y z"},                                             \
+        {prefix ".second_from_first", TD_SCHEMA_OBJECT, true, false, "relative pose"},                       \
+        {prefix ".second_from_first.q", TD_SCHEMA_REALS, true, false, "unit quaternion w x y z"},            \
+        {prefix ".second_from_first.t_m", TD_SCHEMA_REALS, true, false, "translation, m"},                   \
+        {prefix ".epipolar_error_px", TD_SCHEMA_REAL, true, true,                                            \
+         "mean of the distances to both epipolar lines, added"},                                             \
+        {prefix ".essential_matrix", TD_SCHEMA_MATRIX, true, false,                                          \
+         "y2^T E y1 = 0, normalised coordinates"},                                                           \
+    {                                                                                                        \
+        prefix ".fundamental_matrix", TD_SCHEMA_MATRIX, true, false,                                         \
+            "x2^T F x1 = 0, undistorted pixels; unit norm"                                                   \
+    }
     PAIR_ROWS("stereo"),
     PAIR_ROWS("pairs.*"),
 #undef PAIR_ROWS
     {"rms_px", TD_SCHEMA_REAL, true, false, "over all used points"},
     {"chi2_per_dof", TD_SCHEMA_REAL, true, true, "weighted squares over degrees of freedom"},
     {"warp", TD_SCHEMA_OBJECT, false, false, "bulge of the board, when significant"},
-    {"warp.warp_m", TD_SCHEMA_REALS, true, false, "at the middle against the edges, along its columns and rows"},
+    {"warp.warp_m", TD_SCHEMA_REALS, true, false,
+     "at the middle against the edges, along its columns and rows"},
     {"warp.sigma_warp_m", TD_SCHEMA_REALS, true, false, "standard deviations"},
     {"leave_one_out", TD_SCHEMA_OBJECT, true, false, "views held out in turn"},
     {"leave_one_out.views", TD_SCHEMA_INT, true, false, "held out; 0: too few"},
     {"leave_one_out.rms_px", TD_SCHEMA_REAL, true, true, "residual of held-out views, their pose fitted"},
     {"leave_one_out.scale_error", TD_SCHEMA_REAL, true, true, "mean relative error of triangulated size"},
     {"leave_one_out.scale_error_rms", TD_SCHEMA_REAL, true, true, "the same, root mean square over views"},
-    {"leave_one_out.flatness_m", TD_SCHEMA_REAL, true, true, "RMS of triangulated points off the target's surface"},
+    {"leave_one_out.flatness_m", TD_SCHEMA_REAL, true, true,
+     "RMS of triangulated points off the target's surface"},
     {"views", TD_SCHEMA_OBJECT, true, false, "by name"},
     {"views.*", TD_SCHEMA_OBJECT, true, false, "a view"},
     {"views.*.state", TD_SCHEMA_STRING, true, false, "used, corrected, outlier or unseen"},
@@ -81,7 +93,8 @@ const td_schema_row calibrate_schema[] = {
     {"views.*.rig_from_target", TD_SCHEMA_OBJECT, false, false, "pose of the target"},
     {"views.*.rig_from_target.q", TD_SCHEMA_REALS, true, false, "unit quaternion w x y z"},
     {"views.*.rig_from_target.t_m", TD_SCHEMA_REALS, true, false, "translation, m"},
-    {"views.*.sigma_rotation_deg", TD_SCHEMA_REALS, false, true, "standard deviations about x y z of the rig"},
+    {"views.*.sigma_rotation_deg", TD_SCHEMA_REALS, false, true,
+     "standard deviations about x y z of the rig"},
     {"views.*.sigma_t_m", TD_SCHEMA_REALS, false, true, "standard deviations along x y z of the rig"},
     {"views.*.cameras", TD_SCHEMA_OBJECT, true, false, "by name"},
     {"views.*.cameras.*", TD_SCHEMA_OBJECT, true, false, "the view in a camera"},
@@ -246,7 +259,8 @@ static json_t *options_json(const calibrate_job *job)
         static const char *const parts[] = {"intrinsics", "distortion", "pose"};
         for (int b = 0; b < 3; b++)
             if (job->options->hold[c] >> b & 1)
-                json_array_append_new(held, json_sprintf("%s.%s", job->observations->camera[c].name, parts[b]));
+                json_array_append_new(held,
+                                      json_sprintf("%s.%s", job->observations->camera[c].name, parts[b]));
     }
     set(o, "method", json_string(td_estimate_method_name(job->options->method)));
     set(o, "plain", json_boolean(job->options->plain));
@@ -287,7 +301,8 @@ json_t *calibrate_result(const calibrate_job *job)
     set(root, "dataset", dataset_json(job));
     set(root, "options", options_json(job));
     set(root, "verdict", json_string(verdict_name(job->gate->verdict)));
-    for (size_t i = 0; i < job->gate->count; i++) json_array_append_new(reasons, json_string(job->gate->reason[i]));
+    for (size_t i = 0; i < job->gate->count; i++)
+        json_array_append_new(reasons, json_string(job->gate->reason[i]));
     set(root, "reasons", reasons);
     set(root, "rms_px", td_json_real(c->rms_px));
     set(root, "chi2_per_dof", td_json_real(c->chi2_per_dof));
@@ -321,9 +336,13 @@ json_t *calibrate_result(const calibrate_job *job)
     set(root, "sigma_conditional", json_boolean(!c->covariance_known));
     for (size_t v = 0; v < c->view_count; v++) set(views, job->observations->view_name[v], view_json(job, v));
     set(root, "views", views);
-    static const char *const product[][2] = {{"rig", "rig.yaml"}, {"result", "result.yaml"}, {"report", "report.html"},
-                                             {"points", "points.csv"}, {"log", "log.jsonl"}};
-    for (size_t i = 0; i < sizeof product / sizeof *product; i++) set(products, product[i][0], json_string(product[i][1]));
+    static const char *const product[][2] = {{"rig", "rig.yaml"},
+                                             {"result", "result.yaml"},
+                                             {"report", "report.html"},
+                                             {"points", "points.csv"},
+                                             {"log", "log.jsonl"}};
+    for (size_t i = 0; i < sizeof product / sizeof *product; i++)
+        set(products, product[i][0], json_string(product[i][1]));
     set(root, "products", products);
     return root;
 }

@@ -18,8 +18,8 @@ void cli_complain(const char *command, const char *format, ...)
     fputc('\n', stderr);
 }
 
-/* Prints `text` in lines of at most `width` columns, all but the first indented; lines that begin with a blank are kept
- * as they are. */
+/* Prints `text` in lines of at most `width` columns, all but the first indented; lines that begin with a
+ * blank are kept as they are. */
 static void print_wrapped(const char *text, int indent, int width)
 {
     int column = indent;
@@ -121,7 +121,8 @@ static void print_man(const cli_command *c)
         print_roff(c->examples);
         printf(".fi\n");
     }
-    printf(".SH EXIT STATUS\n0 done; 1 failed; 2 wrong usage; 3 done, but the quality gate refuses the result\n");
+    printf(".SH EXIT STATUS\n0 done; 1 failed; 2 wrong usage; 3 done, but the quality gate refuses the "
+           "result\n");
 }
 
 static void print_completion(const cli_command *c)
@@ -158,8 +159,8 @@ static int assign(const cli_command *c, const cli_option *o, const char *text)
         return -1;
     case CLI_INT:
     case CLI_REAL:
-        if (!parse_number(&number, text) || (o->type == CLI_INT && number != floor(number)) || number < o->low ||
-            number > o->high) {
+        if (!parse_number(&number, text) || (o->type == CLI_INT && number != floor(number)) ||
+            number < o->low || number > o->high) {
             cli_complain(c->name, "--%s: '%s' is not %s from %.10g to %.10g", o->name, text,
                          o->type == CLI_INT ? "a whole number" : "a number", o->low, o->high);
             return EXIT_USAGE;
@@ -179,7 +180,8 @@ static int assign(const cli_command *c, const cli_option *o, const char *text)
         return -1;
     }
     case CLI_FLAG:
-    case CLI_HEADING: break;
+    case CLI_HEADING:
+        break;
     }
     return -1;
 }
@@ -262,7 +264,8 @@ int cli_parse(cli_command *c, int argc, char **argv)
             continue;
         }
         if (c->positional_count == c->most) {
-            cli_complain(c->name, "'%s' is one argument too many (usage: teledimos %s %s)", argv[i], c->name, c->usage);
+            cli_complain(c->name, "'%s' is one argument too many (usage: teledimos %s %s)", argv[i], c->name,
+                         c->usage);
             return EXIT_USAGE;
         }
         c->positional[c->positional_count++] = argv[i];

@@ -53,21 +53,32 @@ typedef struct cli_common {
 } cli_common;
 
 /* Their rows of the table; `products` is the help of -o, `draws` what the seed is for. */
-#define CLI_COMMON_OPTIONS(common, products, draws)                                                                    \
-    {.type = CLI_HEADING, .name = "Everywhere"},                                                                       \
-        {CLI_STRING, "output", 'o', &(common).output, "DIR", products, 0, 0, NULL},                                    \
-        {CLI_FLAG, "json", 0, &(common).json, NULL, "the result as JSON on standard output instead of a table", 0, 0,  \
-         NULL},                                                                                                        \
-        {CLI_FLAG, "schema", 0, &(common).schema, NULL, "list the result's keys with types and units, and end", 0, 0,  \
-         NULL},                                                                                                        \
-        {CLI_INT, "threads", 0, &(common).threads, "N",                                                                \
-         "threads; default: one per processor. The products do not depend on it", 0, 256, NULL},                       \
-        {CLI_INT, "seed", 0, &(common).seed, "N", "seed of random numbers (" draws ")", 0, 2147483647, NULL},          \
-        {CLI_FLAG, "quiet", 'q', &(common).quiet, NULL, "no progress, no warnings", 0, 0, NULL},                       \
-        {CLI_FLAG, "verbose", 'v', &(common).verbose, NULL, "say more", 0, 0, NULL}
+#define CLI_COMMON_OPTIONS(common, products, draws)                                                           \
+    {.type = CLI_HEADING, .name = "Everywhere"},                                                              \
+        {CLI_STRING, "output", 'o', &(common).output, "DIR", products, 0, 0, NULL},                           \
+        {CLI_FLAG, "json",                                                                                    \
+         0,        &(common).json,                                                                            \
+         NULL,     "the result as JSON on standard output instead of a table",                                \
+         0,        0,                                                                                         \
+         NULL},                                                                                               \
+        {CLI_FLAG, "schema",                                                                                  \
+         0,        &(common).schema,                                                                          \
+         NULL,     "list the result's keys with types and units, and end",                                    \
+         0,        0,                                                                                         \
+         NULL},                                                                                               \
+        {CLI_INT, "threads",                                                                                  \
+         0,       &(common).threads,                                                                          \
+         "N",     "threads; default: one per processor. The products do not depend on it",                    \
+         0,       256,                                                                                        \
+         NULL},                                                                                               \
+        {CLI_INT, "seed", 0, &(common).seed, "N", "seed of random numbers (" draws ")", 0, 2147483647, NULL}, \
+        {CLI_FLAG, "quiet", 'q', &(common).quiet, NULL, "no progress, no warnings", 0, 0, NULL},              \
+    {                                                                                                         \
+        CLI_FLAG, "verbose", 'v', &(common).verbose, NULL, "say more", 0, 0, NULL                             \
+    }
 
-/* Parses argv. Returns -1 to go on, else the exit status: --help, --man and --complete print and end with 0, wrong
- * usage prints one sentence on stderr and ends with 2. */
+/* Parses argv. Returns -1 to go on, else the exit status: --help, --man and --complete print and end with 0,
+ * wrong usage prints one sentence on stderr and ends with 2. */
 int cli_parse(cli_command *command, int argc, char **argv);
 
 /* "teledimos calibrate: SENTENCE" on stderr. */

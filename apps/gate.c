@@ -22,20 +22,24 @@ td_status gate_set(gate_row *row, size_t count, const char *assignment, td_error
         char *end;
         double value = strtod(equals + 1, &end);
         if (end == equals + 1 || *end || !(value >= 0))
-            return td_fail(error, TD_ERROR_ARGUMENT, "--gate %s: '%s' is not a number >= 0", assignment, equals + 1);
+            return td_fail(error, TD_ERROR_ARGUMENT, "--gate %s: '%s' is not a number >= 0", assignment,
+                           equals + 1);
         row[i].warn = value * (row[i].refuse > 0 ? row[i].warn / row[i].refuse : 1);
         row[i].refuse = value;
         return TD_OK;
     }
     char keys[400] = "";
-    for (size_t i = 0; i < count; i++) snprintf(keys + strlen(keys), sizeof keys - strlen(keys), " %s", row[i].key);
-    return td_fail(error, TD_ERROR_ARGUMENT, "--gate %s: there is no such key; the keys are%s", assignment, keys);
+    for (size_t i = 0; i < count; i++)
+        snprintf(keys + strlen(keys), sizeof keys - strlen(keys), " %s", row[i].key);
+    return td_fail(error, TD_ERROR_ARGUMENT, "--gate %s: there is no such key; the keys are%s", assignment,
+                   keys);
 }
 
 static void add_reason(gate_result *result, verdict v, const char *format, va_list arguments)
 {
     if (v > result->verdict) result->verdict = v;
-    if (result->count < GATE_MAX_REASONS) vsnprintf(result->reason[result->count++], GATE_REASON_SIZE, format, arguments);
+    if (result->count < GATE_MAX_REASONS)
+        vsnprintf(result->reason[result->count++], GATE_REASON_SIZE, format, arguments);
 }
 
 void gate_check(gate_result *result, const gate_row *row, size_t count, const char *key, double value,
@@ -46,7 +50,8 @@ void gate_check(gate_result *result, const gate_row *row, size_t count, const ch
         if (isfinite(value) && value <= row[i].warn) return;
         va_list arguments;
         va_start(arguments, format);
-        add_reason(result, isfinite(value) && value <= row[i].refuse ? VERDICT_WARNED : VERDICT_REFUSED, format, arguments);
+        add_reason(result, isfinite(value) && value <= row[i].refuse ? VERDICT_WARNED : VERDICT_REFUSED,
+                   format, arguments);
         va_end(arguments);
         return;
     }

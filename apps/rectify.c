@@ -22,8 +22,10 @@ static double zoom = 0;
 
 static cli_option options[] = {
     {CLI_STRING, "rig", 0, &rig_path, "FILE", "rig.yaml of the cameras (needed)", 0, 0, NULL},
-    {CLI_STRING, "pair", 0, &pair_names, "A,B", "which two cameras; default: the rig's first two", 0, 0, NULL},
-    {CLI_REAL, "zoom", 0, &zoom, "Z", "0 (default): only what both images fill; 1: all of both, black around", 0, 1, NULL},
+    {CLI_STRING, "pair", 0, &pair_names, "A,B", "which two cameras; default: the rig's first two", 0, 0,
+     NULL},
+    {CLI_REAL, "zoom", 0, &zoom, "Z", "0 (default): only what both images fill; 1: all of both, black around",
+     0, 1, NULL},
     CLI_COMMON_OPTIONS(common, "folder for the images, rig.yaml of the rectified cameras and result.yaml",
                        "this job draws none"),
 };
@@ -32,8 +34,10 @@ static cli_command command = {
     .name = "rectify",
     .summary = "turn stereo pairs so that rows match rows",
     .usage = "DATASET --rig RIG -o DIR [options]",
-    .text = "Writes each pair of DATASET as seen by two distortion-free cameras of one focal length whose rows are epipolar "
-            "lines (columns, for cameras mounted one above the other), as CAMERA-FRAME.png, and a rig.yaml of these cameras.",
+    .text = "Writes each pair of DATASET as seen by two distortion-free cameras of one focal length whose "
+            "rows are epipolar "
+            "lines (columns, for cameras mounted one above the other), as CAMERA-FRAME.png, and a rig.yaml "
+            "of these cameras.",
     .examples = "  teledimos calibrate datasets/opencv-stereo -o out\n"
                 "  teledimos rectify datasets/opencv-stereo --rig out/rig.yaml -o rectified\n",
     .option = options,
@@ -68,7 +72,8 @@ typedef struct job {
 
 static void image_name(char name[2 * TD_NAME_SIZE + 8], const job *j, size_t view, int side)
 {
-    snprintf(name, 2 * TD_NAME_SIZE + 8, "%s-%s.png", j->rig->camera[j->camera[side]].name, j->dataset->frame[view].name);
+    snprintf(name, 2 * TD_NAME_SIZE + 8, "%s-%s.png", j->rig->camera[j->camera[side]].name,
+             j->dataset->frame[view].name);
 }
 
 static void rectify_one(size_t index, void *user)
@@ -82,9 +87,11 @@ static void rectify_one(size_t index, void *user)
     image_name(name, j, view, side);
     char *path = td_path_join(common.output, name);
     const char *from = j->dataset->frame[view].image[j->column[side]];
-    td_status status = path ? td_image_read(&image, from, 3, error) : td_fail(error, TD_ERROR_MEMORY, "out of memory");
+    td_status status =
+        path ? td_image_read(&image, from, 3, error) : td_fail(error, TD_ERROR_MEMORY, "out of memory");
     if (status == TD_OK) {
-        status = td_rectify_image(&out, image, &j->rectification, side, &j->rig->camera[j->camera[side]].camera, 1, error);
+        status = td_rectify_image(&out, image, &j->rectification, side,
+                                  &j->rig->camera[j->camera[side]].camera, 1, error);
         if (status != TD_OK) td_error_prefix(error, status, "%s", from);
     }
     if (status == TD_OK) td_image_write(path, out, error);
@@ -96,18 +103,21 @@ static void rectify_one(size_t index, void *user)
 static td_status choose_pair(job *j, td_error *error)
 {
     char a[TD_NAME_SIZE] = "", b[TD_NAME_SIZE] = "";
-    if (j->rig->count < 2) return td_fail(error, TD_ERROR_DATA, "%s: a rig of one camera has no pair", rig_path);
+    if (j->rig->count < 2)
+        return td_fail(error, TD_ERROR_DATA, "%s: a rig of one camera has no pair", rig_path);
     snprintf(a, sizeof a, "%s", j->rig->camera[0].name);
     snprintf(b, sizeof b, "%s", j->rig->camera[1].name);
     if (pair_names && sscanf(pair_names, "%63[^,],%63[^,]", a, b) != 2)
-        return td_fail(error, TD_ERROR_ARGUMENT, "--pair %s: write two names with a comma between", pair_names);
+        return td_fail(error, TD_ERROR_ARGUMENT, "--pair %s: write two names with a comma between",
+                       pair_names);
     const char *name[2] = {a, b};
     for (int side = 0; side < 2; side++) {
         j->camera[side] = td_rig_find(j->rig, name[side]);
         j->column[side] = -1;
         for (int c = 0; c < j->dataset->camera_count; c++)
             if (strcmp(j->dataset->camera[c].name, name[side]) == 0) j->column[side] = c;
-        if (j->camera[side] < 0) return td_fail(error, TD_ERROR_DATA, "%s has no camera %s", rig_path, name[side]);
+        if (j->camera[side] < 0)
+            return td_fail(error, TD_ERROR_DATA, "%s has no camera %s", rig_path, name[side]);
         if (j->column[side] < 0)
             return td_fail(error, TD_ERROR_DATA, "dataset %s has no camera %s", j->dataset->name, name[side]);
     }
@@ -179,9 +189,10 @@ static td_status write_result(const job *j, td_error *error)
     if (status == TD_OK && common.json) status = td_document_to_json(&text, result, 15, error);
     if (status == TD_OK && text) fputs(text, stdout);
     if (status == TD_OK && !text)
-        printf("%zu pairs rectified to %dx%d px, focal length %.2f px, baseline %.3f mm%s: %s\n", j->view_count,
-               j->rectification.camera.width, j->rectification.camera.height, j->rectification.camera.parameter[0],
-               1e3 * j->rectification.baseline_m, j->rectification.vertical ? " (vertical)" : "", common.output);
+        printf("%zu pairs rectified to %dx%d px, focal length %.2f px, baseline %.3f mm%s: %s\n",
+               j->view_count, j->rectification.camera.width, j->rectification.camera.height,
+               j->rectification.camera.parameter[0], 1e3 * j->rectification.baseline_m,
+               j->rectification.vertical ? " (vertical)" : "", common.output);
     if (status == TD_OK && (fflush(stdout) != 0 || ferror(stdout)))
         status = td_fail(error, TD_ERROR_IO, "standard output cannot be written");
     json_decref(result);
@@ -195,8 +206,8 @@ static td_status run(job *j, td_error *error)
 {
     TD_TRY(choose_pair(j, error));
     td_pose second_from_first = relative(j);
-    TD_TRY(td_rectify(&j->rectification, &j->rig->camera[j->camera[0]].camera, &j->rig->camera[j->camera[1]].camera,
-                      &second_from_first, zoom, error));
+    TD_TRY(td_rectify(&j->rectification, &j->rig->camera[j->camera[0]].camera,
+                      &j->rig->camera[j->camera[1]].camera, &second_from_first, zoom, error));
     j->view = malloc((j->dataset->frame_count + 1) * sizeof *j->view);
     j->error = calloc(2 * j->dataset->frame_count + 1, sizeof *j->error);
     if (!j->view || !j->error) return td_fail(error, TD_ERROR_MEMORY, "out of memory");
@@ -209,7 +220,8 @@ static td_status run(job *j, td_error *error)
     terminal term;
     terminal_init(&term, common.quiet, common.verbose);
     td_progress progress = terminal_progress(&term);
-    td_status status = td_parallel_for(2 * j->view_count, common.threads, rectify_one, j, &progress, "rectifying");
+    td_status status =
+        td_parallel_for(2 * j->view_count, common.threads, rectify_one, j, &progress, "rectifying");
     terminal_clear(&term);
     if (status != TD_OK) return td_fail(error, status, "interrupted; the images written so far are whole");
     for (size_t i = 0; i < 2 * j->view_count; i++)
@@ -233,7 +245,10 @@ int main(int argc, char **argv)
     }
     if (!dataset_path || !rig_path || !common.output || !*common.output) {
         cli_complain(command.name, "%s is missing (usage: teledimos %s %s)",
-                     !dataset_path ? "DATASET" : !rig_path ? "--rig RIG" : "-o DIR", command.name, command.usage);
+                     !dataset_path ? "DATASET"
+                     : !rig_path   ? "--rig RIG"
+                                   : "-o DIR",
+                     command.name, command.usage);
         return EXIT_USAGE;
     }
     terminal_catch_signals();

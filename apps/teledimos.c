@@ -1,5 +1,5 @@
-/* The driver: `teledimos COMMAND …` runs libexec/teledimos/COMMAND, so that each command loads only the libraries it
- * uses, and --version and --help none. */
+/* The driver: `teledimos COMMAND …` runs libexec/teledimos/COMMAND, so that each command loads only the
+ * libraries it uses, and --version and --help none. */
 #include <errno.h>
 #include <limits.h>
 #include <stdio.h>
@@ -22,7 +22,8 @@ static void print_help(void)
     for (int i = 0; i < COMMAND_COUNT; i++) printf("  %-12s %s\n", commands[i].name, commands[i].summary);
     printf("\n  teledimos COMMAND --help   explains a command, with examples\n"
            "  teledimos --version        prints the version\n"
-           "  teledimos --completion     prints a completion script for bash: eval \"$(teledimos --completion)\"\n");
+           "  teledimos --completion     prints a completion script for bash: eval \"$(teledimos "
+           "--completion)\"\n");
 }
 
 static void print_completion(void)
@@ -34,7 +35,8 @@ static void print_completion(void)
     for (int i = 0; i < COMMAND_COUNT; i++) printf("%s ", commands[i].name);
     printf("--help --version\" -- \"$word\"))\n"
            "    elif [ \"${word#-}\" != \"$word\" ]; then\n"
-           "        COMPREPLY=($(compgen -W \"$(teledimos \"${COMP_WORDS[1]}\" --complete 2>/dev/null)\" -- \"$word\"))\n"
+           "        COMPREPLY=($(compgen -W \"$(teledimos \"${COMP_WORDS[1]}\" --complete 2>/dev/null)\" -- "
+           "\"$word\"))\n"
            "    else\n"
            "        COMPREPLY=($(compgen -f -- \"$word\"))\n"
            "    fi\n"
@@ -59,7 +61,8 @@ static int find_command(char *path, size_t size, const char *name)
 
 int main(int argc, char **argv)
 {
-    if (argc < 2 || strcmp(argv[1], "--help") == 0 || strcmp(argv[1], "-h") == 0 || strcmp(argv[1], "help") == 0) {
+    if (argc < 2 || strcmp(argv[1], "--help") == 0 || strcmp(argv[1], "-h") == 0 ||
+        strcmp(argv[1], "help") == 0) {
         print_help();
         return argc < 2 ? 2 : 0;
     }
@@ -79,7 +82,8 @@ int main(int argc, char **argv)
             return 1;
         }
         execv(path, argv + 1);
-        fprintf(stderr, "teledimos: %s cannot be run: %s; is the installation complete?\n", path, strerror(errno));
+        fprintf(stderr, "teledimos: %s cannot be run: %s; is the installation complete?\n", path,
+                strerror(errno));
         return 1;
     }
     fprintf(stderr, "teledimos: there is no command '%s' (see teledimos --help)\n", argv[1]);

@@ -24,7 +24,8 @@ void terminal_catch_signals(void)
     sigaction(SIGINT, &action, NULL);
     sigaction(SIGTERM, &action, NULL);
     signal(SIGPIPE, SIG_IGN);
-    signal(SIGXFSZ, SIG_IGN); /* a limit on the size of files (ulimit -f) is then a failed write like any other */
+    signal(SIGXFSZ,
+           SIG_IGN); /* a limit on the size of files (ulimit -f) is then a failed write like any other */
 }
 
 bool terminal_interrupted(void)

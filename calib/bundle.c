@@ -37,7 +37,8 @@ td_status td_bundle_init(td_bundle *bundle, const td_observations *observations,
         for (int c = 0; c < observations->camera_count; c++) {
             const td_detection *d = td_observations_get(observations, v, c);
             for (size_t p = 0; p < points && d->found; p++)
-                bundle->used[td_bundle_index(bundle, v, c, p)] = isfinite(d->point[2 * p]) && isfinite(d->point[2 * p + 1]);
+                bundle->used[td_bundle_index(bundle, v, c, p)] =
+                    isfinite(d->point[2 * p]) && isfinite(d->point[2 * p + 1]);
         }
     }
     return TD_OK;
@@ -111,7 +112,8 @@ bool td_bundle_residual(double r[2], const td_bundle *bundle, size_t view, int c
     if (!td_camera_project(pixel, NULL, NULL, &c->camera, p)) return false;
     size_t index = td_bundle_index(bundle, view, camera, point);
     const double *seen = td_observations_get(bundle->observations, view, camera)->point + 2 * point;
-    for (int i = 0; i < 2; i++) r[i] = pixel[i] + (bundle->shift ? bundle->shift[2 * index + i] : 0) - seen[i];
+    for (int i = 0; i < 2; i++)
+        r[i] = pixel[i] + (bundle->shift ? bundle->shift[2 * index + i] : 0) - seen[i];
     return true;
 }
 
@@ -158,7 +160,8 @@ typedef struct term {
 static void multiply23(double *r, const double a[6], const double *b, int n)
 {
     for (int i = 0; i < 2; i++)
-        for (int k = 0; k < n; k++) r[i * n + k] = a[3 * i] * b[k] + a[3 * i + 1] * b[n + k] + a[3 * i + 2] * b[2 * n + k];
+        for (int k = 0; k < n; k++)
+            r[i * n + k] = a[3 * i] * b[k] + a[3 * i + 1] * b[n + k] + a[3 * i + 2] * b[2 * n + k];
 }
 
 static double weight_of(const td_bundle *bundle, const td_detection *d, int camera, size_t point)
@@ -167,7 +170,8 @@ static double weight_of(const td_bundle *bundle, const td_detection *d, int came
     return 1 / sqrt(s * s + n * n);
 }
 
-/* Blocks in order: camera parameters, rig_from_target, then camera_from_rig unless first, then warp if used. */
+/* Blocks in order: camera parameters, rig_from_target, then camera_from_rig unless first, then warp if used.
+ */
 static bool evaluate(double *residual, double *const *jacobian, const double *const *block, const void *user)
 {
     const term *t = user;
@@ -202,12 +206,14 @@ static bool evaluate(double *residual, double *const *jacobian, const double *co
         td_pose_transform(x_camera, &camera_from_rig, x_rig);
         if (!td_camera_project(pixel, d_point, d_parameter, &camera, x_camera)) return false;
         for (int i = 0; i < 2; i++)
-            residual[row + i] = w * (pixel[i] + (bundle->shift ? bundle->shift[2 * index + i] : 0) - d->point[2 * p + i]);
+            residual[row + i] =
+                w * (pixel[i] + (bundle->shift ? bundle->shift[2 * index + i] : 0) - d->point[2 * p + i]);
 
         if (jacobian) {
             for (int i = 0; i < 6; i++) d_point[i] *= w;
             if (jacobian[0])
-                for (int i = 0; i < 2 * parameters; i++) jacobian[0][row * parameters + i] = w * d_parameter[i];
+                for (int i = 0; i < 2 * parameters; i++)
+                    jacobian[0][row * parameters + i] = w * d_parameter[i];
             double by_rig[6], move[18];
             multiply23(by_rig, d_point, r_cr, 3);
             if (jacobian[1]) {
@@ -220,7 +226,8 @@ static bool evaluate(double *residual, double *const *jacobian, const double *co
             }
             if (warp_block >= 0 && jacobian[warp_block])
                 for (int i = 0; i < 2; i++) {
-                    double by_z = by_rig[3 * i] * r_rt[2] + by_rig[3 * i + 1] * r_rt[5] + by_rig[3 * i + 2] * r_rt[8];
+                    double by_z =
+                        by_rig[3 * i] * r_rt[2] + by_rig[3 * i + 1] * r_rt[5] + by_rig[3 * i + 2] * r_rt[8];
                     jacobian[warp_block][2 * (row + i)] = by_z * shape[0];
                     jacobian[warp_block][2 * (row + i) + 1] = by_z * shape[1];
                 }
@@ -230,7 +237,8 @@ static bool evaluate(double *residual, double *const *jacobian, const double *co
     return true;
 }
 
-static td_status hold_camera(td_bundle_problem *bp, const td_bundle *bundle, int camera, bool active, td_error *error)
+static td_status hold_camera(td_bundle_problem *bp, const td_bundle *bundle, int camera, bool active,
+                             td_error *error)
 {
     td_problem *problem = bp->problem;
     unsigned hold = bundle->hold[camera];
@@ -244,14 +252,17 @@ static td_status hold_camera(td_bundle_problem *bp, const td_bundle *bundle, int
     return TD_OK;
 }
 
-/* Where views leave the distortion open its coefficients would run away (a rational model's numerator and denominator
- * cancel; a polynomial grows beyond the points): a prior far wider than any lens keeps them from it. */
-static td_status add_distortion_prior(td_bundle_problem *bp, const td_camera *camera, int block, td_error *error)
+/* Where views leave the distortion open its coefficients would run away (a rational model's numerator and
+ * denominator cancel; a polynomial grows beyond the points): a prior far wider than any lens keeps them from
+ * it. */
+static td_status add_distortion_prior(td_bundle_problem *bp, const td_camera *camera, int block,
+                                      td_error *error)
 {
     enum { FIRST = 4 };
     const double spread = 50;
     int count = td_camera_parameter_count(camera->model);
-    double mean[TD_CAMERA_MAX_PARAMETERS] = {0}, weight[TD_CAMERA_MAX_PARAMETERS * TD_CAMERA_MAX_PARAMETERS] = {0};
+    double mean[TD_CAMERA_MAX_PARAMETERS] = {0},
+           weight[TD_CAMERA_MAX_PARAMETERS * TD_CAMERA_MAX_PARAMETERS] = {0};
     for (int i = FIRST; i < count; i++)
         if (td_camera_parameter_name(camera->model, i)[0] == 'k') weight[i * (count + 1)] = 1 / spread;
     return td_problem_add_prior(bp->problem, block, mean, weight, error);
@@ -266,23 +277,27 @@ static td_status add_blocks(td_bundle_problem *bp, td_bundle *bundle, td_error *
         for (size_t v = 0; v < bundle->observations->view_count && !active; v++)
             active = td_bundle_used(bundle, v, c) > 0;
         TD_TRY(td_problem_add_block(bp->problem, &b->camera[c], camera->camera.parameter,
-                                    td_camera_parameter_count(camera->camera.model), TD_VECTOR, false, error));
+                                    td_camera_parameter_count(camera->camera.model), TD_VECTOR, false,
+                                    error));
         if (camera->camera.model != TD_CAMERA_PINHOLE && active && !(bundle->hold[c] & TD_HOLD_DISTORTION))
             TD_TRY(add_distortion_prior(bp, &camera->camera, b->camera[c], error));
         b->pose[c] = -1;
         if (c > 0)
-            TD_TRY(td_problem_add_block(bp->problem, &b->pose[c], (double *)&camera->camera_from_rig, 7, TD_POSE, false, error));
+            TD_TRY(td_problem_add_block(bp->problem, &b->pose[c], (double *)&camera->camera_from_rig, 7,
+                                        TD_POSE, false, error));
         TD_TRY(hold_camera(bp, bundle, c, active, error));
     }
     b->warp = -1;
     if (bundle->use_warp)
         TD_TRY(td_problem_add_block(bp->problem, &b->warp, bundle->warp, 2, TD_VECTOR, false, error));
     for (size_t i = 0; i < bundle->pose_count; i++)
-        TD_TRY(td_problem_add_block(bp->problem, &b->view[i], (double *)&bundle->rig_from_target[i], 7, TD_POSE, true, error));
+        TD_TRY(td_problem_add_block(bp->problem, &b->view[i], (double *)&bundle->rig_from_target[i], 7,
+                                    TD_POSE, true, error));
     return TD_OK;
 }
 
-static td_status add_terms(td_bundle_problem *bp, const td_bundle *bundle, const td_loss *loss, td_error *error)
+static td_status add_terms(td_bundle_problem *bp, const td_bundle *bundle, const td_loss *loss,
+                           td_error *error)
 {
     term *terms = bp->terms;
     bool *seen = calloc(bundle->pose_count + 1, sizeof *seen);
@@ -297,7 +312,8 @@ static td_status add_terms(td_bundle_problem *bp, const td_bundle *bundle, const
             seen[bundle->pose_of_view[v]] = true;
             if (c > 0) block[count++] = bp->blocks.pose[c];
             if (bundle->use_warp) block[count++] = bp->blocks.warp;
-            status = td_problem_add_residual(bp->problem, evaluate, terms++, (int)(2 * used), block, count, loss, error);
+            status = td_problem_add_residual(bp->problem, evaluate, terms++, (int)(2 * used), block, count,
+                                             loss, error);
         }
     for (size_t i = 0; i < bundle->pose_count && status == TD_OK; i++)
         if (!seen[i]) status = td_problem_hold(bp->problem, bp->blocks.view[i], error);
@@ -305,7 +321,8 @@ static td_status add_terms(td_bundle_problem *bp, const td_bundle *bundle, const
     return status;
 }
 
-td_status td_bundle_problem_new(td_bundle_problem *bp, td_bundle *bundle, const td_loss *loss, td_error *error)
+td_status td_bundle_problem_new(td_bundle_problem *bp, td_bundle *bundle, const td_loss *loss,
+                                td_error *error)
 {
     *bp = (td_bundle_problem){.problem = td_problem_new()};
     bp->blocks.view = malloc((bundle->pose_count + 1) * sizeof *bp->blocks.view);
@@ -344,8 +361,9 @@ td_status td_bundle_solve_view(td_bundle *bundle, size_t view, const td_loss *lo
     td_status status = TD_OK;
     int pose = 0, warp = 0;
     term terms[TD_RIG_MAX_CAMERAS];
-    status = td_problem_add_block(problem, &pose, (double *)&bundle->rig_from_target[bundle->pose_of_view[view]], 7, TD_POSE,
-                                  false, error);
+    status =
+        td_problem_add_block(problem, &pose, (double *)&bundle->rig_from_target[bundle->pose_of_view[view]],
+                             7, TD_POSE, false, error);
     if (status == TD_OK && bundle->use_warp) {
         status = td_problem_add_block(problem, &warp, bundle->warp, 2, TD_VECTOR, false, error);
         if (status == TD_OK) status = td_problem_hold(problem, warp, error);
@@ -356,16 +374,19 @@ td_status td_bundle_solve_view(td_bundle *bundle, size_t view, const td_loss *lo
         int block[4] = {0, pose}, count = 2;
         if (!used) continue;
         terms[c] = (term){bundle, view, c};
-        status = td_problem_add_block(problem, &block[0], camera->camera.parameter,
-                                      td_camera_parameter_count(camera->camera.model), TD_VECTOR, false, error);
+        status =
+            td_problem_add_block(problem, &block[0], camera->camera.parameter,
+                                 td_camera_parameter_count(camera->camera.model), TD_VECTOR, false, error);
         if (status == TD_OK) status = td_problem_hold(problem, block[0], error);
         if (status == TD_OK && c > 0) {
-            status = td_problem_add_block(problem, &block[count], (double *)&camera->camera_from_rig, 7, TD_POSE, false, error);
+            status = td_problem_add_block(problem, &block[count], (double *)&camera->camera_from_rig, 7,
+                                          TD_POSE, false, error);
             if (status == TD_OK) status = td_problem_hold(problem, block[count++], error);
         }
         if (bundle->use_warp) block[count++] = warp;
         if (status == TD_OK)
-            status = td_problem_add_residual(problem, evaluate, &terms[c], (int)(2 * used), block, count, loss, error);
+            status = td_problem_add_residual(problem, evaluate, &terms[c], (int)(2 * used), block, count,
+                                             loss, error);
     }
     if (status == TD_OK) status = td_problem_solve(problem, NULL, NULL, error);
     td_problem_free(&problem);

@@ -8,7 +8,8 @@
 #include "core/least_squares.h"
 #include "core/rig.h"
 
-/* State and selection; the numbers that a solve changes are rig, rig_from_target and warp. Arrays are owned. */
+/* State and selection; the numbers that a solve changes are rig, rig_from_target and warp. Arrays are owned.
+ */
 typedef struct td_bundle {
     const td_observations *observations;
     td_rig *rig;
@@ -16,11 +17,11 @@ typedef struct td_bundle {
     size_t *pose_of_view;     /* (views) views of known heights share one pose */
     td_pose *rig_from_target; /* (pose_count) */
     bool use_warp;
-    double warp[2];           /* m: bulge along x and y, see td_bundle_target_point */
-    uint8_t *used;            /* (views,cameras,points) */
-    double *shift;            /* (views,cameras,points,2) px, added to the projection: bias of marks; NULL: none */
+    double warp[2]; /* m: bulge along x and y, see td_bundle_target_point */
+    uint8_t *used;  /* (views,cameras,points) */
+    double *shift;  /* (views,cameras,points,2) px, added to the projection: bias of marks; NULL: none */
     double noise[TD_RIG_MAX_CAMERAS]; /* px; a residual is divided by it, starts as 1 */
-    bool own_sigma;           /* each point's own sigma is added to the noise in quadrature */
+    bool own_sigma;                   /* each point's own sigma is added to the noise in quadrature */
     unsigned hold[TD_RIG_MAX_CAMERAS];
 } td_bundle;
 
@@ -32,11 +33,12 @@ void td_bundle_free(td_bundle *bundle);
 static inline size_t td_bundle_index(const td_bundle *b, size_t view, int camera, size_t point)
 {
     return (view * (size_t)b->observations->camera_count + (size_t)camera) *
-               td_target_point_count(&b->observations->target) + point;
+               td_target_point_count(&b->observations->target) +
+           point;
 }
 
-/* Point of the board as it stands in a view: nominal, warped by w0 (1 - x'^2) + w1 (1 - y'^2) along z with x', y' from
- * -1 to 1 over the board (mrcal's model), and moved by the view's height. */
+/* Point of the board as it stands in a view: nominal, warped by w0 (1 - x'^2) + w1 (1 - y'^2) along z with
+ * x', y' from -1 to 1 over the board (mrcal's model), and moved by the view's height. */
 void td_bundle_target_point(double p[3], const td_bundle *bundle, size_t view, size_t point);
 
 /* Residual (2) px, projected minus seen; false when the point has no projection. */

@@ -22,20 +22,25 @@ td_calibrate_options td_calibrate_options_default(void)
 td_status td_calibrate_options_check(const td_calibrate_options *options, const td_observations *observations,
                                      td_error *error)
 {
-    if (options->method >= TD_ESTIMATE_COUNT) return td_fail(error, TD_ERROR_ARGUMENT, "method: there is no such method");
+    if (options->method >= TD_ESTIMATE_COUNT)
+        return td_fail(error, TD_ERROR_ARGUMENT, "method: there is no such method");
     if (!(options->outlier_sigma >= 2))
-        return td_fail(error, TD_ERROR_ARGUMENT, "outlier_sigma: %g is too small, at least 2", options->outlier_sigma);
+        return td_fail(error, TD_ERROR_ARGUMENT, "outlier_sigma: %g is too small, at least 2",
+                       options->outlier_sigma);
     if (!(options->outlier_view > 1))
         return td_fail(error, TD_ERROR_ARGUMENT, "outlier_view: %g must be > 1", options->outlier_view);
     for (int c = 0; observations && c < observations->camera_count; c++) {
         if (!options->hold[c]) continue;
         const char *name = observations->camera[c].name;
         int k = options->known ? td_rig_find(options->known, name) : -1;
-        if (k < 0) return td_fail(error, TD_ERROR_ARGUMENT, "hold: the given rig has no camera '%s' to hold", name);
+        if (k < 0)
+            return td_fail(error, TD_ERROR_ARGUMENT, "hold: the given rig has no camera '%s' to hold", name);
         const td_camera *camera = &options->known->camera[k].camera;
-        if ((options->hold[c] & (TD_HOLD_INTRINSICS | TD_HOLD_DISTORTION)) && camera->model != observations->camera[c].model)
-            return td_fail(error, TD_ERROR_ARGUMENT, "hold: camera '%s' is %s in the rig and %s in the dataset", name,
-                           td_camera_model_name(camera->model), td_camera_model_name(observations->camera[c].model));
+        if ((options->hold[c] & (TD_HOLD_INTRINSICS | TD_HOLD_DISTORTION)) &&
+            camera->model != observations->camera[c].model)
+            return td_fail(
+                error, TD_ERROR_ARGUMENT, "hold: camera '%s' is %s in the rig and %s in the dataset", name,
+                td_camera_model_name(camera->model), td_camera_model_name(observations->camera[c].model));
     }
     return TD_OK;
 }
@@ -85,8 +90,9 @@ static td_status check_views(const td_observations *o, td_error *error)
         }
         if (seen >= FEWEST_VIEWS || (rail && seen >= 2) || (seen && !td_target_is_flat(&o->target))) continue;
         return td_fail(error, TD_ERROR_DATA,
-                       "camera %s: the target was found in %zu of %zu images, at least %d are needed%s%s", o->camera[c].name,
-                       seen, images, FEWEST_VIEWS, reason ? "; the first without it: " : "", reason ? reason : "");
+                       "camera %s: the target was found in %zu of %zu images, at least %d are needed%s%s",
+                       o->camera[c].name, seen, images, FEWEST_VIEWS,
+                       reason ? "; the first without it: " : "", reason ? reason : "");
     }
     return TD_OK;
 }
@@ -113,11 +119,13 @@ static void take_known(td_bundle *bundle, const td_calibrate_options *options)
     }
 }
 
-/* The noise common to a camera's points, so that weighted squares add up to their degrees of freedom: the root of
- * sum r^2 / (sigma_i^2 + n^2) = dof in n, found by bisection; 0 when the points' own sigmas explain everything (but at least LEAST_NOISE). */
+/* The noise common to a camera's points, so that weighted squares add up to their degrees of freedom: the
+ * root of sum r^2 / (sigma_i^2 + n^2) = dof in n, found by bisection; 0 when the points' own sigmas explain
+ * everything (but at least LEAST_NOISE). */
 static double common_noise(const td_bundle *bundle, int camera, double parameters_per_row)
 {
-    size_t views = bundle->observations->view_count, points = td_target_point_count(&bundle->observations->target);
+    size_t views = bundle->observations->view_count,
+           points = td_target_point_count(&bundle->observations->target);
     size_t n = 0;
     double *r2 = malloc((2 * views * points + 1) * sizeof *r2), r[2], low = 0, high = 0;
     if (!r2) return bundle->noise[camera];
@@ -169,7 +177,8 @@ static void estimate_noise(td_bundle *bundle)
     for (int c = 0; c < bundle->rig->count; c++) bundle->noise[c] = common_noise(bundle, c, fmin(share, 0.9));
 }
 
-/* Where the image of each mark's disc has its centroid, beside the image of its centre; from the present estimate. */
+/* Where the image of each mark's disc has its centroid, beside the image of its centre; from the present
+ * estimate. */
 static td_status update_shift(td_bundle *bundle, td_error *error)
 {
     const td_observations *o = bundle->observations;
@@ -189,16 +198,18 @@ static td_status update_shift(td_bundle *bundle, td_error *error)
                 double centre[3], bias[2], normal[3];
                 const double z[3] = {0, 0, 1};
                 td_bundle_target_point(centre, bundle, v, p);
-                td_pose_rotate(normal, &o->target.plane[td_target_plane_of(&o->target, p, &first)].target_from_plane, z);
-                if (td_mark_bias(bias, &camera->camera, &camera_from_target, centre, normal, o->target.diameter_m))
+                td_pose_rotate(
+                    normal, &o->target.plane[td_target_plane_of(&o->target, p, &first)].target_from_plane, z);
+                if (td_mark_bias(bias, &camera->camera, &camera_from_target, centre, normal,
+                                 o->target.diameter_m))
                     memcpy(bundle->shift + 2 * index, bias, sizeof bias);
             }
         }
     return TD_OK;
 }
 
-/* A solve, with the marks' shift, which depends slowly on the solution, brought up to date around it. What a later solve
- * starts from need not be `precise`. */
+/* A solve, with the marks' shift, which depends slowly on the solution, brought up to date around it. What a
+ * later solve starts from need not be `precise`. */
 static td_status solve(td_bundle *bundle, const td_loss *loss, bool precise, td_calibration *result,
                        const td_calibrate_options *options, td_error *error)
 {
@@ -214,15 +225,17 @@ static td_status solve(td_bundle *bundle, const td_loss *loss, bool precise, td_
         result->iterations += summary.iterations;
     }
     if (!summary.converged)
-        td_log_write(options->log, TD_LOG_WARNING, "calibrate", "the refinement stopped early: %s", summary.message);
+        td_log_write(options->log, TD_LOG_WARNING, "calibrate", "the refinement stopped early: %s",
+                     summary.message);
     return TD_OK;
 }
 
 /* Robust pass, then weighted least squares on what is left, until no more outliers turn up. */
-static td_status solve_robustly(td_bundle *bundle, td_calibration *result, const td_calibrate_options *options,
-                                td_error *error)
+static td_status solve_robustly(td_bundle *bundle, td_calibration *result,
+                                const td_calibrate_options *options, td_error *error)
 {
-    for (int c = 0; c < bundle->rig->count; c++) bundle->noise[c] = fmax(td_robust_noise(bundle, c), LEAST_NOISE);
+    for (int c = 0; c < bundle->rig->count; c++)
+        bundle->noise[c] = fmax(td_robust_noise(bundle, c), LEAST_NOISE);
     const td_loss loss = {TD_LOSS_CAUCHY, 2.5, 2};
     TD_TRY(solve(bundle, &loss, false, result, options, error));
     bundle->own_sigma = true;
@@ -312,7 +325,8 @@ static void fill_pair(td_calibrated_pair *pair, const td_bundle *bundle, int sec
     const td_observations *o = bundle->observations;
     const td_rig_camera *a = &bundle->rig->camera[0], *b = &bundle->rig->camera[second];
     size_t points = td_target_point_count(&o->target), n = 0, na, nb;
-    double sum = td_bundle_square_sum(bundle, 0, &na) + td_bundle_square_sum(bundle, second, &nb), epipolar = 0;
+    double sum = td_bundle_square_sum(bundle, 0, &na) + td_bundle_square_sum(bundle, second, &nb),
+           epipolar = 0;
     *pair = (td_calibrated_pair){.second = second, .second_from_first = b->camera_from_rig};
     pair->rms_px = na + nb ? sqrt(sum / (double)(na + nb)) : NAN;
     pair->baseline_m = td_pose_distance(&pair->second_from_first);
@@ -322,7 +336,8 @@ static void fill_pair(td_calibrated_pair *pair, const td_bundle *bundle, int sec
     for (size_t v = 0; v < o->view_count; v++) {
         bool both = false;
         for (size_t p = 0; p < points; p++) {
-            if (!bundle->used[td_bundle_index(bundle, v, 0, p)] || !bundle->used[td_bundle_index(bundle, v, second, p)])
+            if (!bundle->used[td_bundle_index(bundle, v, 0, p)] ||
+                !bundle->used[td_bundle_index(bundle, v, second, p)])
                 continue;
             double x[2], y[2], d[2];
             both = true;
@@ -394,7 +409,8 @@ td_status td_calibrate(td_calibration **calibration, const td_observations *obse
     TD_TRY(td_calibrate_options_check(options, observations, error));
     TD_TRY(check_views(observations, error));
 
-    size_t slots = observations->view_count * (size_t)observations->camera_count * td_target_point_count(&observations->target);
+    size_t slots = observations->view_count * (size_t)observations->camera_count *
+                   td_target_point_count(&observations->target);
     td_calibration *result = calloc(1, sizeof *result);
     td_observations *own = NULL;
     td_bundle bundle = {0};

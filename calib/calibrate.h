@@ -1,9 +1,10 @@
-/* Calibrates the cameras of a rig and their relative poses from views of a target, and says how far to trust it.
+/* Calibrates the cameras of a rig and their relative poses from views of a target, and says how far to trust
+ * it.
  *
- * First estimates for each camera alone, then one joint least-squares problem over all cameras, views and the board's
- * warp. By default: a robust pass finds outlying corners and views, which are named and left out; the rest is solved
- * by plain least squares weighted by each point's own sigma and a common noise estimated from the residuals; the
- * warp is kept when it is significant; every figure has its covariance. */
+ * First estimates for each camera alone, then one joint least-squares problem over all cameras, views and the
+ * board's warp. By default: a robust pass finds outlying corners and views, which are named and left out; the
+ * rest is solved by plain least squares weighted by each point's own sigma and a common noise estimated from
+ * the residuals; the warp is kept when it is significant; every figure has its covariance. */
 #ifndef TELEDIMOS_CALIB_CALIBRATE_H
 #define TELEDIMOS_CALIB_CALIBRATE_H
 
@@ -24,24 +25,24 @@ typedef enum td_warp_choice { TD_WARP_AUTO, TD_WARP_OFF, TD_WARP_ON } td_warp_ch
 
 typedef struct td_calibrate_options {
     td_estimate_method method;
-    bool plain;           /* no outlier rejection, no warp, plain pixels: OpenCV's and mrcal's least squares */
-    td_warp_choice warp;  /* AUTO: kept when significant at 99.9 % */
+    bool plain;          /* no outlier rejection, no warp, plain pixels: OpenCV's and mrcal's least squares */
+    td_warp_choice warp; /* AUTO: kept when significant at 99.9 % */
     double outlier_sigma; /* corners farther out than this many robust standard deviations are left out; 5 */
     double outlier_view;  /* views whose RMS exceeds this many times their camera's median; 3 */
     const td_rig *known;  /* values (and covariance) of what is held; may be NULL */
     unsigned hold[TD_RIG_MAX_CAMERAS]; /* of camera i, TD_HOLD_… */
-    bool leave_one_out;   /* default true */
-    int threads;          /* 0: one per processor */
+    bool leave_one_out;                /* default true */
+    int threads;                       /* 0: one per processor */
     const td_progress *progress;
     const td_log *log;
 } td_calibrate_options;
 
 TD_API td_calibrate_options td_calibrate_options_default(void);
-TD_API td_status td_calibrate_options_check(const td_calibrate_options *options, const td_observations *observations,
-                                            td_error *error);
+TD_API td_status td_calibrate_options_check(const td_calibrate_options *options,
+                                            const td_observations *observations, td_error *error);
 
 typedef enum td_view_state {
-    TD_VIEW_UNSEEN,   /* no target found in any image */
+    TD_VIEW_UNSEEN, /* no target found in any image */
     TD_VIEW_USED,
     TD_VIEW_OUTLIER,  /* left out whole */
     TD_VIEW_CORRECTED /* used after its numbering was put right */
@@ -49,7 +50,7 @@ typedef enum td_view_state {
 
 typedef struct td_calibrated_view {
     td_view_state state;
-    char remark[TD_TEXT_SIZE];         /* why it is an outlier, what was corrected; "" */
+    char remark[TD_TEXT_SIZE]; /* why it is an outlier, what was corrected; "" */
     td_pose rig_from_target;
     double sigma[6];                   /* of the pose, 3 rad then 3 m (pose.h's perturbation); NaN: unknown */
     double rms_px[TD_RIG_MAX_CAMERAS]; /* over all seen points, used or not; NaN: camera saw nothing */
@@ -57,10 +58,10 @@ typedef struct td_calibrated_view {
 } td_calibrated_view;
 
 typedef struct td_calibrated_camera {
-    double rms_px;            /* over used points: sqrt(sum |r|^2 / points) */
-    double mono_rms_px;       /* of the camera calibrated alone */
+    double rms_px;      /* over used points: sqrt(sum |r|^2 / points) */
+    double mono_rms_px; /* of the camera calibrated alone */
     size_t views, points, outlier_points;
-    double noise_px;          /* standard deviation common to its points, beyond their own sigma */
+    double noise_px; /* standard deviation common to its points, beyond their own sigma */
     double sigma[TD_CAMERA_MAX_PARAMETERS]; /* NaN: unknown */
 } td_calibrated_camera;
 
@@ -68,50 +69,51 @@ typedef struct td_calibrated_camera {
 typedef struct td_calibrated_pair {
     int first, second;
     td_pose second_from_first;
-    double rms_px;               /* over both cameras' used points */
+    double rms_px; /* over both cameras' used points */
     double baseline_m, sigma_baseline_m;
-    double rotation_rad, sigma_rotation_rad[3]; /* relative rotation's angle; sigma of its perturbation about x, y, z */
-    double essential[9], fundamental[9];        /* row-major; x2^T F x1 = 0 in undistorted pixels */
-    double epipolar_error_px;    /* mean over point pairs of the distances to both epipolar lines, added (as OpenCV's
-                                    stereo_calib sample prints it) */
-    size_t pairs;                /* views that both saw */
+    double rotation_rad,
+        sigma_rotation_rad[3]; /* relative rotation's angle; sigma of its perturbation about x, y, z */
+    double essential[9], fundamental[9]; /* row-major; x2^T F x1 = 0 in undistorted pixels */
+    double epipolar_error_px; /* mean over point pairs of the distances to both epipolar lines, added (as
+                                 OpenCV's stereo_calib sample prints it) */
+    size_t pairs;             /* views that both saw */
 } td_calibrated_pair;
 
 typedef struct td_leave_one_out {
-    size_t views;                /* held out in turn; 0: not done */
+    size_t views; /* held out in turn; 0: not done */
     size_t folds;
-    double rms_px;               /* of held-out views against cameras solved without them */
-    double scale_error;          /* mean relative error of triangulated target size; NaN: no pair */
-    double scale_error_rms;      /* over the views */
-    double flatness_m;           /* RMS distance of triangulated points from the target after the best fit */
+    double rms_px;          /* of held-out views against cameras solved without them */
+    double scale_error;     /* mean relative error of triangulated target size; NaN: no pair */
+    double scale_error_rms; /* over the views */
+    double flatness_m;      /* RMS distance of triangulated points from the target after the best fit */
 } td_leave_one_out;
 
 /* A direction in the parameters that the views hardly determine. */
 typedef struct td_weak_direction {
-    char text[TD_TEXT_SIZE];     /* what cannot be told apart, and what to do */
-    double severity;             /* 1: at the limit of what is tolerated */
+    char text[TD_TEXT_SIZE]; /* what cannot be told apart, and what to do */
+    double severity;         /* 1: at the limit of what is tolerated */
 } td_weak_direction;
 
 enum { TD_MAX_WEAK = 8 };
 
 typedef struct td_calibration {
-    td_rig *rig;                 /* with its joint covariance */
+    td_rig *rig; /* with its joint covariance */
     td_calibrated_camera camera[TD_RIG_MAX_CAMERAS];
     size_t view_count;
-    td_calibrated_view *view;    /* (views) */
-    double *residual;            /* (views,cameras,points,2) px, projected minus seen; NaN: not seen */
-    uint8_t *used;               /* (views,cameras,points) */
-    size_t pair_count;           /* each camera with the first */
+    td_calibrated_view *view; /* (views) */
+    double *residual;         /* (views,cameras,points,2) px, projected minus seen; NaN: not seen */
+    uint8_t *used;            /* (views,cameras,points) */
+    size_t pair_count;        /* each camera with the first */
     td_calibrated_pair pair[TD_RIG_MAX_CAMERAS];
     bool has_warp;
     double warp_m[2], sigma_warp_m[2];
-    double chi2_per_dof;         /* weighted residuals */
-    double rms_px;               /* over all used points */
+    double chi2_per_dof; /* weighted residuals */
+    double rms_px;       /* over all used points */
     td_leave_one_out leave_one_out;
     size_t weak_count;
     td_weak_direction weak[TD_MAX_WEAK];
-    bool covariance_known;       /* false: something held has no covariance, sigmas are given its value */
-    td_estimate_method method;   /* what AUTO chose */
+    bool covariance_known;     /* false: something held has no covariance, sigmas are given its value */
+    td_estimate_method method; /* what AUTO chose */
     int iterations;
 } td_calibration;
 

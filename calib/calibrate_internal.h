@@ -5,9 +5,9 @@
 #include "calib/bundle_internal.h"
 #include "calib/calibrate.h"
 
-/* rig_start.c: each camera alone, then their relative poses by consensus over the views. Puts right, in `observations`
- * (of which bundle->observations is the same), the numbering of views that were seen with the board turned, drops views on which cameras disagree, and
- * says so in the result's views. */
+/* rig_start.c: each camera alone, then their relative poses by consensus over the views. Puts right, in
+ * `observations` (of which bundle->observations is the same), the numbering of views that were seen with the
+ * board turned, drops views on which cameras disagree, and says so in the result's views. */
 td_status td_rig_start(td_bundle *bundle, td_observations *observations, td_calibration *result,
                        const td_calibrate_options *options, td_error *error);
 

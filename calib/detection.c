@@ -29,9 +29,12 @@ void td_detection_free(td_detection *detection)
 td_status td_detect(td_detection *detection, const td_image *image, const td_target *target, td_error *error)
 {
     switch (target->kind) {
-    case TD_TARGET_CHESSBOARD: return td_chessboard_detect(detection, image, target, error);
-    case TD_TARGET_MARKS: return td_marks_detect(detection, image, target, NULL, 0, error);
-    case TD_TARGET_KIND_COUNT: break;
+    case TD_TARGET_CHESSBOARD:
+        return td_chessboard_detect(detection, image, target, error);
+    case TD_TARGET_MARKS:
+        return td_marks_detect(detection, image, target, NULL, 0, error);
+    case TD_TARGET_KIND_COUNT:
+        break;
     }
     return td_fail(error, TD_ERROR_ARGUMENT, "no detector for targets of kind %d", (int)target->kind);
 }

@@ -27,8 +27,8 @@ typedef struct td_detection {
 TD_API td_status td_detection_init(td_detection *detection, size_t count, td_error *error);
 TD_API void td_detection_free(td_detection *detection);
 
-/* Finds `target` in the grey image by the detector of its kind. TD_OK with found = false when the target is not
- * there; an error only for bad arguments or lack of memory. `detection` need not be initialised. */
+/* Finds `target` in the grey image by the detector of its kind. TD_OK with found = false when the target is
+ * not there; an error only for bad arguments or lack of memory. `detection` need not be initialised. */
 TD_API td_status td_detect(td_detection *detection, const td_image *image, const td_target *target,
                            td_error *error);
 

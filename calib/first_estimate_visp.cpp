@@ -22,10 +22,7 @@ namespace {
 class Quiet {
   public:
     Quiet() : lock_(mutex()), kept_(std::cout.rdbuf(nullptr)) {}
-    ~Quiet()
-    {
-        std::cout.rdbuf(kept_);
-    }
+    ~Quiet() { std::cout.rdbuf(kept_); }
     Quiet(const Quiet &) = delete;
     Quiet &operator=(const Quiet &) = delete;
 
@@ -57,8 +54,8 @@ vpHomogeneousMatrix pose_of(const vpCameraParameters &camera, const double *star
     return found;
 }
 
-void estimate(double intrinsics[4], double *matrix, const double *point, const double *pixel, const size_t *first,
-              const size_t *count, size_t views, bool keep_camera)
+void estimate(double intrinsics[4], double *matrix, const double *point, const double *pixel,
+              const size_t *first, const size_t *count, size_t views, bool keep_camera)
 {
     vpCameraParameters camera(intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]);
     std::vector<vpCalibration> table(views);
@@ -84,8 +81,9 @@ void estimate(double intrinsics[4], double *matrix, const double *point, const d
 
 } // namespace
 
-extern "C" td_status td_visp_estimate(double intrinsics[4], double *matrix, const double *point, const double *pixel,
-                                      const size_t *first, const size_t *count, size_t views, int keep_camera, td_error *error)
+extern "C" td_status td_visp_estimate(double intrinsics[4], double *matrix, const double *point,
+                                      const double *pixel, const size_t *first, const size_t *count,
+                                      size_t views, int keep_camera, td_error *error)
 try {
     Quiet quiet;
     estimate(intrinsics, matrix, point, pixel, first, count, views, keep_camera != 0);

@@ -1,5 +1,5 @@
-/* Leave-one-out: solve without a view, then ask how well the result explains it. With many views, groups of them are
- * held out, so that there are never more than MOST_FOLDS solves. */
+/* Leave-one-out: solve without a view, then ask how well the result explains it. With many views, groups of
+ * them are held out, so that there are never more than MOST_FOLDS solves. */
 #include <math.h>
 #include <stdlib.h>
 
@@ -27,8 +27,9 @@ static double dot3(const double a[3], const double b[3])
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-/* Scale of the triangulated points y against the model x, for the best rotation (Umeyama 1991: trace(D S)/var(x); the
- * model is exact, so noise in y leaves it unbiased), by the rotation R already known from the pose of the view. */
+/* Scale of the triangulated points y against the model x, for the best rotation (Umeyama 1991: trace(D
+ * S)/var(x); the model is exact, so noise in y leaves it unbiased), by the rotation R already known from the
+ * pose of the view. */
 static void add_shape(fold *f, const double *x, const double *y, size_t n)
 {
     double mx[3] = {0}, my[3] = {0}, xy = 0, xx = 0;
@@ -65,7 +66,8 @@ static void measure_shape(fold *f, const td_bundle *b, size_t view)
         const td_rig_camera *second = &b->rig->camera[c];
         n = 0;
         for (size_t p = 0; p < points; p++) {
-            if (!b->used[td_bundle_index(b, view, 0, p)] || !b->used[td_bundle_index(b, view, c, p)]) continue;
+            if (!b->used[td_bundle_index(b, view, 0, p)] || !b->used[td_bundle_index(b, view, c, p)])
+                continue;
             if (!td_triangulate_pair(y + 3 * n, &first->camera, &second->camera, &second->camera_from_rig,
                                      td_observations_get(o, view, 0)->point + 2 * p,
                                      td_observations_get(o, view, c)->point + 2 * p))
@@ -138,13 +140,15 @@ static size_t candidate_views(size_t *view, const td_bundle *bundle)
     return n;
 }
 
-td_status td_leave_one_out_run(td_leave_one_out *result, const td_bundle *bundle, const td_calibrate_options *options,
-                               td_error *error)
+td_status td_leave_one_out_run(td_leave_one_out *result, const td_bundle *bundle,
+                               const td_calibrate_options *options, td_error *error)
 {
-    *result = (td_leave_one_out){.rms_px = NAN, .scale_error = NAN, .scale_error_rms = NAN, .flatness_m = NAN};
+    *result =
+        (td_leave_one_out){.rms_px = NAN, .scale_error = NAN, .scale_error_rms = NAN, .flatness_m = NAN};
     size_t *view = malloc((bundle->observations->view_count + 1) * sizeof *view);
     fold folds[MOST_FOLDS] = {0};
-    if (!view) return td_fail(error, TD_ERROR_MEMORY, "no memory for %zu views", bundle->observations->view_count);
+    if (!view)
+        return td_fail(error, TD_ERROR_MEMORY, "no memory for %zu views", bundle->observations->view_count);
     folds_work work = {.bundle = bundle, .view = view, .fold = folds};
     work.view_count = candidate_views(view, bundle);
     work.fold_count = work.view_count < MOST_FOLDS ? work.view_count : MOST_FOLDS;

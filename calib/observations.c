@@ -58,23 +58,26 @@ size_t td_observations_seen(const td_observations *observations, size_t view, in
 {
     const td_detection *d = td_observations_get(observations, view, camera);
     size_t n = 0;
-    for (size_t p = 0; d->found && p < d->count; p++) n += isfinite(d->point[2 * p]) && isfinite(d->point[2 * p + 1]);
+    for (size_t p = 0; d->found && p < d->count; p++)
+        n += isfinite(d->point[2 * p]) && isfinite(d->point[2 * p + 1]);
     return n;
 }
 
 /* ---- clicks ---- */
 
-static td_status need_columns(int *index, const td_csv *csv, const char *const *name, size_t count, td_error *error)
+static td_status need_columns(int *index, const td_csv *csv, const char *const *name, size_t count,
+                              td_error *error)
 {
     for (size_t i = 0; i < count; i++) {
         index[i] = td_csv_column(csv, name[i]);
-        if (index[i] < 0) return td_fail(error, TD_ERROR_FORMAT, "%s: there is no column %s", csv->name, name[i]);
+        if (index[i] < 0)
+            return td_fail(error, TD_ERROR_FORMAT, "%s: there is no column %s", csv->name, name[i]);
     }
     return TD_OK;
 }
 
-static td_status add_click(td_image_clicks *all, size_t *count, const td_csv *csv, size_t row, const int column[4],
-                           td_error *error)
+static td_status add_click(td_image_clicks *all, size_t *count, const td_csv *csv, size_t row,
+                           const int column[4], td_error *error)
 {
     const char *image = td_csv_cell(csv, row, column[0]);
     size_t i = 0;
@@ -119,8 +122,8 @@ static td_status clicks_from_csv(td_image_clicks **clicks, size_t *count, const 
     return TD_OK;
 }
 
-td_status td_clicks_parse(td_image_clicks **clicks, size_t *count, const char *text, size_t size, const char *name,
-                          td_error *error)
+td_status td_clicks_parse(td_image_clicks **clicks, size_t *count, const char *text, size_t size,
+                          const char *name, td_error *error)
 {
     td_csv *csv;
     *clicks = NULL;
@@ -163,20 +166,21 @@ static int find_camera(const td_observations *o, const char *name)
     return -1;
 }
 
-static td_status take_size(td_observed_camera *camera, const td_csv *csv, size_t row, const int *column, td_error *error)
+static td_status take_size(td_observed_camera *camera, const td_csv *csv, size_t row, const int *column,
+                           td_error *error)
 {
     int width, height;
     TD_TRY(td_csv_int(&width, csv, row, column[WIDTH], 1, 65535, error));
     TD_TRY(td_csv_int(&height, csv, row, column[HEIGHT], 1, 65535, error));
     if (!camera->width) camera->width = width, camera->height = height;
     if (camera->width != width || camera->height != height)
-        return td_csv_fail(csv, row, column[WIDTH], error, "%dx%d px, but camera %s began with %dx%d", width, height,
-                           camera->name, camera->width, camera->height);
+        return td_csv_fail(csv, row, column[WIDTH], error, "%dx%d px, but camera %s began with %dx%d", width,
+                           height, camera->name, camera->width, camera->height);
     return TD_OK;
 }
 
-static td_status take_point(td_observations *o, size_t *view, const td_csv *csv, size_t row, const int *column,
-                            td_error *error)
+static td_status take_point(td_observations *o, size_t *view, const td_csv *csv, size_t row,
+                            const int *column, td_error *error)
 {
     *view = find_view(o, td_csv_cell(csv, row, column[FRAME]), *view);
     if (*view == SIZE_MAX)
@@ -189,7 +193,8 @@ static td_status take_point(td_observations *o, size_t *view, const td_csv *csv,
     TD_TRY(take_size(&o->camera[camera], csv, row, column, error));
     td_detection *d = td_observations_get(o, *view, camera);
     TD_TRY(td_csv_int(&point, csv, row, column[POINT], 0, (int)d->count - 1, error));
-    if (isfinite(d->point[2 * point])) return td_csv_fail(csv, row, column[POINT], error, "the point is given twice");
+    if (isfinite(d->point[2 * point]))
+        return td_csv_fail(csv, row, column[POINT], error, "the point is given twice");
     double x, y, sigma;
     TD_TRY(td_csv_real(&x, csv, row, column[X], -1e5, 1e6, error));
     TD_TRY(td_csv_real(&y, csv, row, column[Y], -1e5, 1e6, error));
@@ -212,12 +217,14 @@ static td_status points_from_csv(td_observations *o, const td_csv *csv, td_error
             d->found = true;
             size_t seen = td_observations_seen(o, v, c);
             d->found = seen >= 4;
-            if (seen && !d->found) snprintf(d->reason, sizeof d->reason, "%zu points given, 4 are needed", seen);
+            if (seen && !d->found)
+                snprintf(d->reason, sizeof d->reason, "%zu points given, 4 are needed", seen);
         }
     return TD_OK;
 }
 
-td_status td_points_parse(td_observations *o, const char *text, size_t size, const char *name, td_error *error)
+td_status td_points_parse(td_observations *o, const char *text, size_t size, const char *name,
+                          td_error *error)
 {
     td_csv *csv;
     TD_TRY(td_csv_parse(&csv, text, size, name, error));
@@ -235,11 +242,13 @@ td_status td_points_read(td_observations *o, const char *path, td_error *error)
     return status;
 }
 
-/* A cell as td_csv_parse reads it back: in quotes where the text would be taken apart, trimmed or for a comment. */
+/* A cell as td_csv_parse reads it back: in quotes where the text would be taken apart, trimmed or for a
+ * comment. */
 static size_t write_cell(char *out, const char *text)
 {
     size_t length = strlen(text), n = 0;
-    bool plain = length && !strpbrk(text, ",\"\r\n") && !strchr("# \t", text[0]) && !strchr(" \t", text[length - 1]);
+    bool plain =
+        length && !strpbrk(text, ",\"\r\n") && !strchr("# \t", text[0]) && !strchr(" \t", text[length - 1]);
     if (!plain) out[n++] = '"';
     for (; *text; text++) {
         if (*text == '"') out[n++] = '"';
@@ -250,16 +259,19 @@ static size_t write_cell(char *out, const char *text)
     return n;
 }
 
-td_status td_observations_write(const td_observations *o, const char *comment, const char *path, td_error *error)
+td_status td_observations_write(const td_observations *o, const char *comment, const char *path,
+                                td_error *error)
 {
     enum { CELL = 2 * TD_NAME_SIZE + 2, ROW = 2 * CELL + 6 * TD_NUMBER_SIZE };
     size_t points = td_target_point_count(&o->target), length = 0;
-    size_t most = 512 + (comment ? strlen(comment) : 0) + o->view_count * (size_t)o->camera_count * points * ROW;
+    size_t most =
+        512 + (comment ? strlen(comment) : 0) + o->view_count * (size_t)o->camera_count * points * ROW;
     char *text = malloc(most), x[TD_NUMBER_SIZE], y[TD_NUMBER_SIZE], s[TD_NUMBER_SIZE];
     if (!text) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for the points", path);
     if (comment) length += (size_t)snprintf(text, most, "# %.*s\n", (int)strcspn(comment, "\r\n"), comment);
     for (int i = 0; i < POINT_COLUMNS; i++)
-        length += (size_t)snprintf(text + length, most - length, "%s%s", point_columns[i], i + 1 < POINT_COLUMNS ? "," : "\n");
+        length += (size_t)snprintf(text + length, most - length, "%s%s", point_columns[i],
+                                   i + 1 < POINT_COLUMNS ? "," : "\n");
     for (size_t v = 0; v < o->view_count; v++)
         for (int c = 0; c < o->camera_count; c++) {
             const td_detection *d = td_observations_get(o, v, c);
@@ -268,9 +280,10 @@ td_status td_observations_write(const td_observations *o, const char *comment, c
                 length += write_cell(text + length, o->view_name[v]);
                 text[length++] = ',';
                 length += write_cell(text + length, o->camera[c].name);
-                length += (size_t)snprintf(text + length, most - length, ",%d,%d,%zu,%s,%s,%s\n", o->camera[c].width,
-                                           o->camera[c].height, p, td_number_format(x, d->point[2 * p], 0),
-                                           td_number_format(y, d->point[2 * p + 1], 0), td_number_format(s, d->sigma[p], 0));
+                length += (size_t)snprintf(
+                    text + length, most - length, ",%d,%d,%zu,%s,%s,%s\n", o->camera[c].width,
+                    o->camera[c].height, p, td_number_format(x, d->point[2 * p], 0),
+                    td_number_format(y, d->point[2 * p + 1], 0), td_number_format(s, d->sigma[p], 0));
             }
         }
     td_status status = td_file_write(path, text, length, error);
@@ -284,11 +297,12 @@ typedef struct observe_work {
     td_observations *observations;
     const td_dataset *dataset;
     const td_observe_options *options;
-    td_error *error;           /* (views,cameras) */
-    int (*size)[2];            /* (views,cameras) of each image, 0: none */
+    td_error *error; /* (views,cameras) */
+    int (*size)[2];  /* (views,cameras) of each image, 0: none */
 } observe_work;
 
-/* Those whose image is the path's end, whole names only: "01.png", or "left/01.png" where folders tell cameras apart. */
+/* Those whose image is the path's end, whole names only: "01.png", or "left/01.png" where folders tell
+ * cameras apart. */
 static const td_image_clicks *clicks_of(const td_observe_options *options, const char *path)
 {
     size_t length = strlen(path);
@@ -344,26 +358,30 @@ static td_status check_images(const observe_work *work, td_error *error)
         }
         if (camera->width != work->size[i][0] || camera->height != work->size[i][1])
             return td_fail(error, TD_ERROR_DATA,
-                           "%s is %dx%d px, but camera %s began with %dx%d px (%s): all images of a camera must be of one "
+                           "%s is %dx%d px, but camera %s began with %dx%d px (%s): all images of a camera "
+                           "must be of one "
                            "size",
-                           path, work->size[i][0], work->size[i][1], camera->name, camera->width, camera->height,
-                           first[i % cameras]);
+                           path, work->size[i][0], work->size[i][1], camera->name, camera->width,
+                           camera->height, first[i % cameras]);
     }
     for (size_t c = 0; c < cameras; c++)
-        if (!first[c]) return td_fail(error, TD_ERROR_DATA, "camera %s has no image in frames.csv", o->camera[c].name);
+        if (!first[c])
+            return td_fail(error, TD_ERROR_DATA, "camera %s has no image in frames.csv", o->camera[c].name);
     return TD_OK;
 }
 
-static td_status observe_images(td_observations *o, const td_dataset *dataset, const td_observe_options *options,
-                                td_error *error)
+static td_status observe_images(td_observations *o, const td_dataset *dataset,
+                                const td_observe_options *options, td_error *error)
 {
     size_t slots = o->view_count * (size_t)o->camera_count;
-    observe_work work = {o, dataset, options, calloc(slots + 1, sizeof *work.error), calloc(slots + 1, sizeof *work.size)};
+    observe_work work = {o, dataset, options, calloc(slots + 1, sizeof *work.error),
+                         calloc(slots + 1, sizeof *work.size)};
     td_status status;
     if (!work.error || !work.size)
         status = td_fail(error, TD_ERROR_MEMORY, "no memory for %zu images", slots);
     else
-        status = td_parallel_for(slots, options->threads, observe_one, &work, options->progress, "finding the target");
+        status = td_parallel_for(slots, options->threads, observe_one, &work, options->progress,
+                                 "finding the target");
     if (status == TD_ERROR_CANCELLED) status = td_fail(error, status, "cancelled while finding the target");
     if (status == TD_OK) status = check_images(&work, error);
     free(work.error);
@@ -371,12 +389,13 @@ static td_status observe_images(td_observations *o, const td_dataset *dataset, c
     return status;
 }
 
-td_status td_observe(td_observations **observations, const td_dataset *dataset, const td_observe_options *options,
-                     td_error *error)
+td_status td_observe(td_observations **observations, const td_dataset *dataset,
+                     const td_observe_options *options, td_error *error)
 {
     const td_observe_options defaults = {0};
     if (!options) options = &defaults;
-    TD_TRY(td_observations_new(observations, &dataset->target, dataset->camera_count, dataset->frame_count, error));
+    TD_TRY(td_observations_new(observations, &dataset->target, dataset->camera_count, dataset->frame_count,
+                               error));
     td_observations *o = *observations;
     for (int c = 0; c < dataset->camera_count; c++) {
         memcpy(o->camera[c].name, dataset->camera[c].name, sizeof o->camera[c].name);

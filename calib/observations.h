@@ -29,8 +29,8 @@ typedef struct td_observations {
 } td_observations;
 
 /* Nothing seen yet; every detection is initialised. */
-TD_API td_status td_observations_new(td_observations **observations, const td_target *target, int camera_count,
-                                     size_t view_count, td_error *error);
+TD_API td_status td_observations_new(td_observations **observations, const td_target *target,
+                                     int camera_count, size_t view_count, td_error *error);
 TD_API void td_observations_free(td_observations **observations);
 TD_API td_detection *td_observations_get(const td_observations *observations, size_t view, int camera);
 /* Number of points seen by a camera in a view. */
@@ -56,21 +56,23 @@ typedef struct td_observe_options {
     const td_log *log;
 } td_observe_options;
 
-/* Reads every image of the dataset and finds the target in it, on several threads; or, when the dataset names a file
- * of corners, reads that. An image that cannot be read, or is of another size than the camera's first, is an error
- * that names it; a view without the target is not (its detection says why). */
+/* Reads every image of the dataset and finds the target in it, on several threads; or, when the dataset names
+ * a file of corners, reads that. An image that cannot be read, or is of another size than the camera's first,
+ * is an error that names it; a view without the target is not (its detection says why). */
 TD_API td_status td_observe(td_observations **observations, const td_dataset *dataset,
                             const td_observe_options *options, td_error *error);
 
-/* Points as CSV with the columns frame, camera, width_px, height_px (of the image), point (number in the target, from
- * 0), x_px, y_px, sigma_px (0: unknown); only points that were seen. `comment` (may be NULL) becomes a first line behind
+/* Points as CSV with the columns frame, camera, width_px, height_px (of the image), point (number in the
+ * target, from 0), x_px, y_px, sigma_px (0: unknown); only points that were seen. `comment` (may be NULL)
+ * becomes a first line behind
  * "# ". */
-TD_API td_status td_observations_write(const td_observations *observations, const char *comment, const char *path,
-                                       td_error *error);
-/* Fills observations of which views, cameras and target are named; views and cameras that are not are refused. */
+TD_API td_status td_observations_write(const td_observations *observations, const char *comment,
+                                       const char *path, td_error *error);
+/* Fills observations of which views, cameras and target are named; views and cameras that are not are
+ * refused. */
 TD_API td_status td_points_read(td_observations *observations, const char *path, td_error *error);
-TD_API td_status td_points_parse(td_observations *observations, const char *text, size_t size, const char *name,
-                                 td_error *error);
+TD_API td_status td_points_parse(td_observations *observations, const char *text, size_t size,
+                                 const char *name, td_error *error);
 
 #ifdef __cplusplus
 }

@@ -34,7 +34,8 @@ static size_t lengths(double *out, const td_bundle *bundle, size_t view, int cam
 
 double td_robust_noise(const td_bundle *bundle, int camera)
 {
-    size_t views = bundle->observations->view_count, points = td_target_point_count(&bundle->observations->target);
+    size_t views = bundle->observations->view_count,
+           points = td_target_point_count(&bundle->observations->target);
     double *all = malloc((views * points + 1) * sizeof *all), noise = 0;
     size_t n = 0;
     if (!all) return 0;
@@ -67,8 +68,8 @@ static double rms_of(const double *length, size_t n)
 }
 
 /* One camera: `work` has room for all lengths, `rms` for all views. */
-static bool mark_camera(td_bundle *bundle, td_calibration *result, int camera, const td_calibrate_options *options,
-                        double *work, double *rms)
+static bool mark_camera(td_bundle *bundle, td_calibration *result, int camera,
+                        const td_calibrate_options *options, double *work, double *rms)
 {
     size_t views = bundle->observations->view_count, seen = 0;
     bool changed = false;
@@ -92,7 +93,8 @@ static bool mark_camera(td_bundle *bundle, td_calibration *result, int camera, c
         td_calibrated_view *view = &result->view[v];
         if (whole)
             snprintf(view->remark, sizeof view->remark,
-                     "its points in %s are off by %.2f px RMS, %.1f times the usual %.2f px: blurred, moved, bent, or badly "
+                     "its points in %s are off by %.2f px RMS, %.1f times the usual %.2f px: blurred, moved, "
+                     "bent, or badly "
                      "found",
                      bundle->rig->camera[camera].name, view_rms, view_rms / usual, usual);
         else
@@ -108,7 +110,8 @@ static bool mark_camera(td_bundle *bundle, td_calibration *result, int camera, c
 td_status td_outliers_mark(bool *changed, td_bundle *bundle, td_calibration *result,
                            const td_calibrate_options *options, td_error *error)
 {
-    size_t views = bundle->observations->view_count, points = td_target_point_count(&bundle->observations->target);
+    size_t views = bundle->observations->view_count,
+           points = td_target_point_count(&bundle->observations->target);
     double *work = malloc((points + views + 1) * sizeof *work);
     if (!work) return td_fail(error, TD_ERROR_MEMORY, "no memory for %zu views", views);
     *changed = false;

@@ -1,8 +1,9 @@
 /* From views to a start for the joint problem: every camera alone, then the cameras relative to one another.
  *
- * A view's labelling can be off by a turn of the board (a symmetric grid, or a numbering by hand), and a file list can
- * swap two cameras' images. Either shows as a relative pose that disagrees with the other views': the relative pose is
- * therefore the one on which most views agree, over all turns, and the views that disagree are explained or dropped. */
+ * A view's labelling can be off by a turn of the board (a symmetric grid, or a numbering by hand), and a file
+ * list can swap two cameras' images. Either shows as a relative pose that disagrees with the other views':
+ * the relative pose is therefore the one on which most views agree, over all turns, and the views that
+ * disagree are explained or dropped. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -28,7 +29,8 @@ typedef struct mono_work {
 static size_t views_in_use(const td_bundle *bundle, int camera)
 {
     size_t views = 0;
-    for (size_t v = 0; v < bundle->observations->view_count; v++) views += td_bundle_used(bundle, v, camera) > 0;
+    for (size_t v = 0; v < bundle->observations->view_count; v++)
+        views += td_bundle_used(bundle, v, camera) > 0;
     return views;
 }
 
@@ -45,8 +47,8 @@ static double view_rms(const td_bundle *bundle, size_t view, int camera)
     return n ? sqrt(sum / (double)n) : 0;
 }
 
-/* The other pose at which a small plane looks nearly the same: its normal mirrored at the line of sight to its centre
- * (Schweighofer and Pinz 2006). A view can settle in the wrong one of the two. */
+/* The other pose at which a small plane looks nearly the same: its normal mirrored at the line of sight to
+ * its centre (Schweighofer and Pinz 2006). A view can settle in the wrong one of the two. */
 static td_pose mirrored_pose(const td_pose *camera_from_target, const td_target *target)
 {
     double centre[3], sight[3], normal[3], axis[3], first[3], last[3];
@@ -57,9 +59,12 @@ static td_pose mirrored_pose(const td_pose *camera_from_target, const td_target 
     td_pose_transform(sight, camera_from_target, centre);
     td_pose_rotate(normal, camera_from_target, z);
     double length = sqrt(sight[0] * sight[0] + sight[1] * sight[1] + sight[2] * sight[2]);
-    for (int i = 0; i < 3; i++) axis[i] = (normal[(i + 1) % 3] * sight[(i + 2) % 3] - normal[(i + 2) % 3] * sight[(i + 1) % 3]) / length;
+    for (int i = 0; i < 3; i++)
+        axis[i] =
+            (normal[(i + 1) % 3] * sight[(i + 2) % 3] - normal[(i + 2) % 3] * sight[(i + 1) % 3]) / length;
     double s = sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]);
-    double c = (normal[0] * sight[0] + normal[1] * sight[1] + normal[2] * sight[2]) / length, angle = 2 * atan2(s, c);
+    double c = (normal[0] * sight[0] + normal[1] * sight[1] + normal[2] * sight[2]) / length,
+           angle = 2 * atan2(s, c);
     if (!(s > 0)) return *camera_from_target;
     /* Turn about the centre: p -> R (p - sight) + sight. */
     double omega[3], moved[3];
@@ -105,7 +110,8 @@ static bool unmirror(td_bundle *bundle, int camera)
     return changed;
 }
 
-/* Negative focal lengths with the scene turned by half about the axis give the same images: back to positive ones. */
+/* Negative focal lengths with the scene turned by half about the axis give the same images: back to positive
+ * ones. */
 static void make_upright(td_bundle *bundle, int camera)
 {
     td_camera *c = &bundle->rig->camera[camera].camera;
@@ -174,14 +180,16 @@ static void mono_run(size_t index, void *user)
     if (m->status == TD_OK) m->status = mono_refine(m, camera, work->options, &m->error);
 }
 
-static td_status run_monos(mono *monos, const td_bundle *bundle, const td_calibrate_options *options, td_error *error)
+static td_status run_monos(mono *monos, const td_bundle *bundle, const td_calibrate_options *options,
+                           td_error *error)
 {
     int cameras = bundle->rig->count;
     for (int c = 0; c < cameras; c++) {
         TD_TRY(td_bundle_copy(&monos[c].bundle, bundle, error));
         for (int other = 0; other < cameras; other++) {
             if (other == c) continue;
-            for (size_t v = 0; v < bundle->observations->view_count; v++) td_bundle_drop(&monos[c].bundle, v, other);
+            for (size_t v = 0; v < bundle->observations->view_count; v++)
+                td_bundle_drop(&monos[c].bundle, v, other);
         }
         monos[c].bundle.rig->camera[c].camera_from_rig = td_pose_identity();
         monos[c].bundle.hold[c] |= TD_HOLD_POSE;
@@ -198,7 +206,8 @@ static td_status run_monos(mono *monos, const td_bundle *bundle, const td_calibr
 
 /* ---- turns of the board ---- */
 
-/* px by which a turned labelling must explain a view better than the given one, besides halving the disagreement. */
+/* px by which a turned labelling must explain a view better than the given one, besides halving the
+ * disagreement. */
 #define CLEARLY 1.0
 
 /* How many turns map the grid onto itself: 4, 2, or 1 when there are several planes. */
@@ -339,7 +348,8 @@ static double consensus(td_pose *camera_from_base, const pair *p, double *scratc
     return best;
 }
 
-/* Explains the views that disagree: a turned board is put right, anything else is left out; both are named. */
+/* Explains the views that disagree: a turned board is put right, anything else is left out; both are named.
+ */
 static void explain(const pair *p, const td_pose *camera_from_base, double median, td_bundle *bundle,
                     td_observations *observations, td_calibration *result)
 {
@@ -355,7 +365,8 @@ static void explain(const pair *p, const td_pose *camera_from_base, double media
             turn_detection(td_observations_get(observations, v, p->camera), p->target, turn);
             view->state = TD_VIEW_CORRECTED;
             snprintf(view->remark, sizeof view->remark,
-                     "the points of %s were numbered with the board turned by %d degrees against %s; the numbering was "
+                     "the points of %s were numbered with the board turned by %d degrees against %s; the "
+                     "numbering was "
                      "put right",
                      camera, turn_count(p->target) == 4 ? 90 * turn : 180, base);
             continue;
@@ -370,7 +381,8 @@ static void explain(const pair *p, const td_pose *camera_from_base, double media
                      "the images of %s and %s look swapped: exchange them in frames.csv", base, camera);
         else
             snprintf(view->remark, sizeof view->remark,
-                     "%s and %s disagree on where the board is by %.0f px (all others by %.1f px): not taken at the same "
+                     "%s and %s disagree on where the board is by %.0f px (all others by %.1f px): not taken "
+                     "at the same "
                      "moment, or of another board",
                      base, camera, d, median);
         for (int k = 0; k < bundle->rig->count; k++) td_bundle_drop(bundle, v, k);
@@ -389,15 +401,16 @@ static size_t shared_views(size_t *view, const mono *monos, int a, int b)
 }
 
 /* Ties each camera to one that is tied already and shares most views with it. */
-static td_status tie_cameras(td_bundle *bundle, td_observations *observations, mono *monos, td_calibration *result,
-                             const td_calibrate_options *options, td_error *error)
+static td_status tie_cameras(td_bundle *bundle, td_observations *observations, mono *monos,
+                             td_calibration *result, const td_calibrate_options *options, td_error *error)
 {
     int cameras = bundle->rig->count;
     bool tied[TD_RIG_MAX_CAMERAS] = {true};
     size_t *view = malloc((observations->view_count + 1) * sizeof *view);
     double *scratch = malloc((observations->view_count + 1) * sizeof *scratch);
     td_status status = TD_OK;
-    if (!view || !scratch) status = td_fail(error, TD_ERROR_MEMORY, "no memory for %zu views", observations->view_count);
+    if (!view || !scratch)
+        status = td_fail(error, TD_ERROR_MEMORY, "no memory for %zu views", observations->view_count);
     for (int round = 1; round < cameras && status == TD_OK; round++) {
         int base = -1, camera = -1;
         size_t most = 0;
@@ -407,11 +420,13 @@ static td_status tie_cameras(td_bundle *bundle, td_observations *observations, m
                 if (n > most) most = n, base = a, camera = b;
             }
         if (camera < 0) {
-            for (camera = 0; tied[camera]; camera++) {}
-            status = td_fail(error, TD_ERROR_DATA,
-                             "camera %s shares no view of the target with the others, so its place in the rig cannot be "
-                             "found: add views that it sees together with another camera",
-                             bundle->rig->camera[camera].name);
+            for (camera = 0; tied[camera]; camera++) {
+            }
+            status = td_fail(
+                error, TD_ERROR_DATA,
+                "camera %s shares no view of the target with the others, so its place in the rig cannot be "
+                "found: add views that it sees together with another camera",
+                bundle->rig->camera[camera].name);
             break;
         }
         pair p = {base, camera, monos, &observations->target, view, shared_views(view, monos, base, camera)};
@@ -420,7 +435,8 @@ static td_status tie_cameras(td_bundle *bundle, td_observations *observations, m
         if (!options->plain) explain(&p, &camera_from_base, median, bundle, observations, result);
         td_rig_camera *c = &bundle->rig->camera[camera];
         if (!(bundle->hold[camera] & TD_HOLD_POSE))
-            c->camera_from_rig = td_pose_compose(&camera_from_base, &bundle->rig->camera[base].camera_from_rig);
+            c->camera_from_rig =
+                td_pose_compose(&camera_from_base, &bundle->rig->camera[base].camera_from_rig);
         tied[camera] = true;
     }
     free(view);
@@ -448,7 +464,8 @@ td_status td_rig_start(td_bundle *bundle, td_observations *observations, td_cali
             if (!td_bundle_used(bundle, v, c)) continue;
             td_pose rig_from_camera = td_pose_inverse(&bundle->rig->camera[c].camera_from_rig);
             size_t pose = bundle->pose_of_view[v];
-            bundle->rig_from_target[pose] = td_pose_compose(&rig_from_camera, &monos[c].bundle.rig_from_target[pose]);
+            bundle->rig_from_target[pose] =
+                td_pose_compose(&rig_from_camera, &monos[c].bundle.rig_from_target[pose]);
             break;
         }
     for (int c = 0; c < cameras; c++) td_bundle_free(&monos[c].bundle);

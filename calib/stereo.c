@@ -39,12 +39,14 @@ void td_fundamental_matrix(double f[9], const td_camera *first, const td_camera 
     inverse_matrix(k2, second);
     td_multiply(half, e, k1, 3, 3, 3);
     for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) f[3 * i + j] = k2[i] * half[j] + k2[3 + i] * half[3 + j] + k2[6 + i] * half[6 + j];
+        for (int j = 0; j < 3; j++)
+            f[3 * i + j] = k2[i] * half[j] + k2[3 + i] * half[3 + j] + k2[6 + i] * half[6 + j];
     for (int i = 0; i < 9; i++) norm += f[i] * f[i];
     for (int i = 0; i < 9 && norm > 0; i++) f[i] /= sqrt(norm);
 }
 
-void td_epipolar_distances(double distance[2], const double f[9], const double pixel1[2], const double pixel2[2])
+void td_epipolar_distances(double distance[2], const double f[9], const double pixel1[2],
+                           const double pixel2[2])
 {
     double line2[3], line1[3];
     for (int i = 0; i < 3; i++) {
@@ -84,8 +86,9 @@ static bool midpoint(double point[3], const double ray1[3], const double ray2[3]
 }
 
 /* Gauss-Newton's step from x for the squared reprojection error in both images. */
-static bool triangulation_step(double step[3], const double x[3], const td_camera *first, const td_camera *second,
-                               const td_pose *second_from_first, const double pixel1[2], const double pixel2[2])
+static bool triangulation_step(double step[3], const double x[3], const td_camera *first,
+                               const td_camera *second, const td_pose *second_from_first,
+                               const double pixel1[2], const double pixel2[2])
 {
     double j[12], r[4], u[2], d[6], y[3], r2[9], normal[9] = {0}, right[3] = {0};
     if (!td_camera_project(u, j, NULL, first, x)) return false;
@@ -132,8 +135,8 @@ bool td_triangulate_pair(double point[3], const td_camera *first, const td_camer
     return true;
 }
 
-/* Turns both cameras half-way towards each other, then the common frame onto the baseline. False when that takes more than
- * 60 degrees: then the cameras look along the baseline rather than across it. */
+/* Turns both cameras half-way towards each other, then the common frame onto the baseline. False when that
+ * takes more than 60 degrees: then the cameras look along the baseline rather than across it. */
 static bool rectifying_rotations(td_rectification *out, const td_pose *second_from_first)
 {
     double omega[3], half[3], t[3];
@@ -162,13 +165,14 @@ static bool rectifying_rotations(td_rectification *out, const td_pose *second_fr
     return direction[axis] > 0.5;
 }
 
-/* Bounds, in normalised rectified coordinates, of what a camera sees: the largest rectangle inside its border's image
- * and the smallest around it. */
+/* Bounds, in normalised rectified coordinates, of what a camera sees: the largest rectangle inside its
+ * border's image and the smallest around it. */
 typedef struct bounds {
     double inner[4], outer[4]; /* x min, x max, y min, y max */
 } bounds;
 
-static td_status border_bounds(bounds *b, const td_camera *camera, const td_pose *rectified_from_camera, td_error *error)
+static td_status border_bounds(bounds *b, const td_camera *camera, const td_pose *rectified_from_camera,
+                               td_error *error)
 {
     enum { STEPS = 32 };
     const double big = 1e9;
@@ -180,13 +184,15 @@ static td_status border_bounds(bounds *b, const td_camera *camera, const td_pose
                                (side < 2 ? side : along) * (camera->height - 1)};
             if (!td_camera_unproject(ray, NULL, NULL, camera, pixel))
                 return td_fail(error, TD_ERROR_DATA,
-                               "the lens model has no ray for pixel (%.0f, %.0f) of the image's border, its polynomial turns "
+                               "the lens model has no ray for pixel (%.0f, %.0f) of the image's border, its "
+                               "polynomial turns "
                                "back before it: calibrate with views in which the target reaches the corners",
                                pixel[0], pixel[1]);
             td_pose_rotate(ray, rectified_from_camera, ray);
             if (ray[2] < 0.05)
                 return td_fail(error, TD_ERROR_DATA,
-                               "the field of view is too wide for a rectified (pinhole) image: part of the image's border "
+                               "the field of view is too wide for a rectified (pinhole) image: part of the "
+                               "image's border "
                                "lies more than 87 degrees off the rectified axis");
             double x = ray[0] / ray[2], y = ray[1] / ray[2];
             b->outer[0] = fmin(b->outer[0], x), b->outer[1] = fmax(b->outer[1], x);
@@ -202,12 +208,14 @@ static td_status border_bounds(bounds *b, const td_camera *camera, const td_pose
 td_status td_rectify(td_rectification *out, const td_camera *first, const td_camera *second,
                      const td_pose *second_from_first, double zoom, td_error *error)
 {
-    if (!(zoom >= 0 && zoom <= 1)) return td_fail(error, TD_ERROR_ARGUMENT, "zoom: %g is not between 0 and 1", zoom);
+    if (!(zoom >= 0 && zoom <= 1))
+        return td_fail(error, TD_ERROR_ARGUMENT, "zoom: %g is not between 0 and 1", zoom);
     if (!(td_pose_distance(second_from_first) > 0))
         return td_fail(error, TD_ERROR_DATA, "the two cameras are at one place: nothing to rectify");
     if (!rectifying_rotations(out, second_from_first))
         return td_fail(error, TD_ERROR_DATA,
-                       "one camera is ahead of the other: where they look along the line between them there is nothing to "
+                       "one camera is ahead of the other: where they look along the line between them there "
+                       "is nothing to "
                        "rectify");
     bounds a, b;
     TD_TRY(border_bounds(&a, first, &out->rectified_from[0], error));
@@ -238,8 +246,8 @@ typedef struct remap {
     double edge; /* cosine of the largest angle off the axis that the image holds */
 } remap;
 
-/* A distortion's polynomial may turn back outside of the image and map directions into it that the lens never saw there;
- * they lie farther off the axis than all of the image's border. */
+/* A distortion's polynomial may turn back outside of the image and map directions into it that the lens never
+ * saw there; they lie farther off the axis than all of the image's border. */
 static double edge_cosine(const td_camera *camera)
 {
     enum { STEPS = 32 };
@@ -268,17 +276,19 @@ static void remap_row(size_t row, void *user)
         if (!(pixel[0] >= -0.5 && pixel[0] <= m->image->width - 0.5 && pixel[1] >= -0.5 &&
               pixel[1] <= m->image->height - 0.5))
             continue;
-        for (int k = 0; k < channels; k++) to[k] = (uint8_t)lrint(td_image_sample(m->image, pixel[0], pixel[1], k));
+        for (int k = 0; k < channels; k++)
+            to[k] = (uint8_t)lrint(td_image_sample(m->image, pixel[0], pixel[1], k));
     }
 }
 
-td_status td_rectify_image(td_image **out, const td_image *image, const td_rectification *rectification, int index,
-                           const td_camera *camera, int threads, td_error *error)
+td_status td_rectify_image(td_image **out, const td_image *image, const td_rectification *rectification,
+                           int index, const td_camera *camera, int threads, td_error *error)
 {
     if (image->width != camera->width || image->height != camera->height)
-        return td_fail(error, TD_ERROR_DATA, "the image is %dx%d px, its camera was calibrated at %dx%d", image->width,
-                       image->height, camera->width, camera->height);
-    TD_TRY(td_image_new(out, rectification->camera.width, rectification->camera.height, image->channels, error));
+        return td_fail(error, TD_ERROR_DATA, "the image is %dx%d px, its camera was calibrated at %dx%d",
+                       image->width, image->height, camera->width, camera->height);
+    TD_TRY(
+        td_image_new(out, rectification->camera.width, rectification->camera.height, image->channels, error));
     remap m = {*out,
                image,
                camera,

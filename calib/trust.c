@@ -1,4 +1,5 @@
-/* How far to trust a calibration: covariance of everything, and the directions that the views leave open, in words. */
+/* How far to trust a calibration: covariance of everything, and the directions that the views leave open, in
+ * words. */
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -42,14 +43,15 @@ static td_status fill_rig_covariance(td_rig *rig, const td_covariance *covarianc
     size_t n = td_rig_parameter_count(rig);
     free(rig->covariance);
     rig->covariance = calloc(n * n, sizeof *rig->covariance);
-    if (!rig->covariance) return td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance of %zu parameters", n);
+    if (!rig->covariance)
+        return td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance of %zu parameters", n);
     for (size_t i = 0; i < count; i++)
         for (size_t k = 0; k < count; k++) {
             double block[TD_MAX_BLOCK_SIZE * TD_MAX_BLOCK_SIZE];
             TD_TRY(td_covariance_get(block, covariance, placed[i].block, placed[k].block, error));
             for (int r = 0; r < placed[i].size; r++)
-                memcpy(rig->covariance + (placed[i].row + (size_t)r) * n + placed[k].row, block + r * placed[k].size,
-                       (size_t)placed[k].size * sizeof(double));
+                memcpy(rig->covariance + (placed[i].row + (size_t)r) * n + placed[k].row,
+                       block + r * placed[k].size, (size_t)placed[k].size * sizeof(double));
         }
     /* Products of matrices are symmetric only up to rounding. */
     for (size_t i = 0; i < n; i++)
@@ -60,8 +62,8 @@ static td_status fill_rig_covariance(td_rig *rig, const td_covariance *covarianc
     return TD_OK;
 }
 
-/* What is held at a known rig's values brings that rig's covariance with it. The whole camera is considered when all of
- * its parameters are held; a rig without covariance leaves it unknown. */
+/* What is held at a known rig's values brings that rig's covariance with it. The whole camera is considered
+ * when all of its parameters are held; a rig without covariance leaves it unknown. */
 static size_t gather_considered(td_consider *out, double *store, bool *known, const td_bundle *bundle,
                                 const td_bundle_blocks *blocks, const td_rig *from)
 {
@@ -72,7 +74,8 @@ static size_t gather_considered(td_consider *out, double *store, bool *known, co
         int other = from ? td_rig_find(from, bundle->rig->camera[c].name) : -1;
         bool whole = (hold & TD_HOLD_INTRINSICS) && (hold & TD_HOLD_DISTORTION);
         if (!hold) continue;
-        if (other < 0 || !from->covariance || (!whole && (hold & (TD_HOLD_INTRINSICS | TD_HOLD_DISTORTION)))) {
+        if (other < 0 || !from->covariance ||
+            (!whole && (hold & (TD_HOLD_INTRINSICS | TD_HOLD_DISTORTION)))) {
             *known = false;
             continue;
         }
@@ -87,7 +90,8 @@ static size_t gather_considered(td_consider *out, double *store, bool *known, co
         if ((hold & TD_HOLD_POSE) && c > 0) {
             double *s = store + n * TD_MAX_BLOCK_SIZE * TD_MAX_BLOCK_SIZE;
             row += (size_t)count;
-            for (int i = 0; i < 36; i++) s[i] = from->covariance[(row + (size_t)(i / 6)) * width + row + (size_t)(i % 6)];
+            for (int i = 0; i < 36; i++)
+                s[i] = from->covariance[(row + (size_t)(i / 6)) * width + row + (size_t)(i % 6)];
             out[n++] = (td_consider){blocks->pose[c], s};
         }
     }
@@ -121,7 +125,8 @@ static void pair_sigmas(td_calibration *result)
         for (size_t i = 0; i < 3; i++) {
             p->sigma_rotation_rad[i] = sqrt(fmax(rig->covariance[(row + i) * (n + 1)], 0));
             for (size_t j = 0; j < 3; j++)
-                variance += t[i] * t[j] * rig->covariance[(row + 3 + i) * n + row + 3 + j] / (p->baseline_m * p->baseline_m);
+                variance += t[i] * t[j] * rig->covariance[(row + 3 + i) * n + row + 3 + j] /
+                            (p->baseline_m * p->baseline_m);
         }
         p->sigma_baseline_m = p->baseline_m > 0 ? sqrt(fmax(variance, 0)) : NAN;
     }
@@ -160,22 +165,26 @@ static void weak_camera(td_calibration *result, const td_bundle *bundle, int c)
     if (bundle->hold[c] & TD_HOLD_INTRINSICS) return;
     bool flat = td_target_is_flat(&bundle->observations->target);
     bool rail = false;
-    for (size_t v = 0; v < bundle->observations->view_count; v++) rail |= !isnan(bundle->observations->height_m[v]);
+    for (size_t v = 0; v < bundle->observations->view_count; v++)
+        rail |= !isnan(bundle->observations->height_m[v]);
     double focal = fmax(s[0] / p[0], s[1] / p[1]), tilt = largest_tilt(bundle, c);
     double centre = fmax(s[2], s[3]) / camera->camera.width;
     if (flat && !rail && tilt < TILT_NEEDED_DEG)
         add_weak(result, fmax(2, focal / WEAK_FOCAL),
-                 "%s: all views are nearly parallel to the image (tilt at most %.0f degrees), so focal length and distance "
+                 "%s: all views are nearly parallel to the image (tilt at most %.0f degrees), so focal "
+                 "length and distance "
                  "cannot be told apart; tilt the board by 30 to 45 degrees, to all four sides",
                  camera->name, tilt);
     else if (!(focal < WEAK_FOCAL))
         add_weak(result, focal / WEAK_FOCAL,
-                 "%s: the focal length is known to %.1f %% only, it can hardly be told from the distance; add views with "
+                 "%s: the focal length is known to %.1f %% only, it can hardly be told from the distance; "
+                 "add views with "
                  "the board tilted by 30 to 45 degrees, and nearer ones",
                  camera->name, 100 * focal);
     if (!(centre < WEAK_CENTRE) && !(flat && tilt < TILT_NEEDED_DEG))
         add_weak(result, centre / WEAK_CENTRE,
-                 "%s: the principal point is known to %.1f px only, it can hardly be told from a turn of the camera; turn "
+                 "%s: the principal point is known to %.1f px only, it can hardly be told from a turn of the "
+                 "camera; turn "
                  "the board by a quarter about its normal between views, and tilt it both ways",
                  camera->name, centre * camera->camera.width);
 }
@@ -187,14 +196,17 @@ static void weak_pairs(td_calibration *result)
         const char *a = result->rig->camera[p->first].name, *b = result->rig->camera[p->second].name;
         if (!(p->sigma_baseline_m < WEAK_BASELINE * p->baseline_m))
             add_weak(result, p->sigma_baseline_m / p->baseline_m / WEAK_BASELINE,
-                     "%s and %s: the baseline is known to %.1f %% only; add views in which both see the board, near by and "
+                     "%s and %s: the baseline is known to %.1f %% only; add views in which both see the "
+                     "board, near by and "
                      "tilted",
                      a, b, 100 * p->sigma_baseline_m / p->baseline_m);
-        double worst = fmax(fmax(p->sigma_rotation_rad[0], p->sigma_rotation_rad[1]), p->sigma_rotation_rad[2]);
+        double worst =
+            fmax(fmax(p->sigma_rotation_rad[0], p->sigma_rotation_rad[1]), p->sigma_rotation_rad[2]);
         if (!(worst < WEAK_ROTATION))
             add_weak(result, worst / WEAK_ROTATION,
-                     "%s and %s: their relative rotation is known to %.2f degrees only; add views that fill both images", a,
-                     b, worst * DEGREES);
+                     "%s and %s: their relative rotation is known to %.2f degrees only; add views that fill "
+                     "both images",
+                     a, b, worst * DEGREES);
     }
 }
 
@@ -218,7 +230,8 @@ td_status td_trust_covariance(td_calibration *result, td_bundle *bundle, const t
     td_bundle_problem bp;
     placed_block placed[2 * TD_RIG_MAX_CAMERAS];
     td_consider consider[2 * TD_RIG_MAX_CAMERAS];
-    double *store = calloc((size_t)2 * TD_RIG_MAX_CAMERAS * TD_MAX_BLOCK_SIZE * TD_MAX_BLOCK_SIZE, sizeof *store);
+    double *store =
+        calloc((size_t)2 * TD_RIG_MAX_CAMERAS * TD_MAX_BLOCK_SIZE * TD_MAX_BLOCK_SIZE, sizeof *store);
     if (!store) return td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance");
     td_covariance *covariance = NULL;
     td_status status = td_bundle_problem_new(&bp, bundle, NULL, error);
@@ -231,7 +244,8 @@ td_status td_trust_covariance(td_calibration *result, td_bundle *bundle, const t
     status = td_problem_covariance(&covariance, bp.problem, consider, considered, error);
     if (status == TD_OK) {
         size_t count = place_blocks(placed, bundle, &bp.blocks);
-        double dof = (double)td_covariance_rows(covariance) - (double)td_covariance_free_parameters(covariance);
+        double dof =
+            (double)td_covariance_rows(covariance) - (double)td_covariance_free_parameters(covariance);
         result->chi2_per_dof = dof > 0 ? td_covariance_chi2(covariance) / dof : NAN;
         status = fill_rig_covariance(result->rig, covariance, placed, count, error);
         if (status == TD_OK) {
@@ -247,9 +261,11 @@ td_status td_trust_covariance(td_calibration *result, td_bundle *bundle, const t
         }
         if (status == TD_OK && td_covariance_null_count(covariance))
             add_weak(result, INFINITY,
-                     "%zu combination%s of the cameras' parameters cannot be found from these views at all; add views of "
+                     "%zu combination%s of the cameras' parameters cannot be found from these views at all; "
+                     "add views of "
                      "other tilts and distances, or hold parameters (--fix)",
-                     td_covariance_null_count(covariance), td_covariance_null_count(covariance) > 1 ? "s" : "");
+                     td_covariance_null_count(covariance),
+                     td_covariance_null_count(covariance) > 1 ? "s" : "");
     }
     for (int c = 0; c < bundle->rig->count && status == TD_OK; c++) weak_camera(result, bundle, c);
     if (status == TD_OK) weak_pairs(result);

@@ -1,11 +1,10 @@
 /* Camera models: a point in the camera's frame to a pixel and back, with the derivatives of both.
  *
- * Camera frame: x right, y down, z forward. Pixel (0, 0) is the centre of the first pixel. Parameters, in order:
- *   pinhole   fx fy cx cy
- *   brown5    fx fy cx cy k1 k2 p1 p2 k3             (Brown 1966; OpenCV's and ROS "plumb_bob")
- *   brown8    fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6    (OpenCV's rational model, ROS "rational_polynomial")
- *   fisheye   fx fy cx cy k1 k2 k3 k4                (Kannala and Brandt 2006; OpenCV's fisheye, Kalibr "equi")
- * The first four are the intrinsics (px), the others the distortion. */
+ * Camera frame: x right, y down, z forward. Pixel (0, 0) is the centre of the first pixel. Parameters, in
+ * order: pinhole   fx fy cx cy brown5    fx fy cx cy k1 k2 p1 p2 k3             (Brown 1966; OpenCV's and ROS
+ * "plumb_bob") brown8    fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6    (OpenCV's rational model, ROS
+ * "rational_polynomial") fisheye   fx fy cx cy k1 k2 k3 k4                (Kannala and Brandt 2006; OpenCV's
+ * fisheye, Kalibr "equi") The first four are the intrinsics (px), the others the distortion. */
 #ifndef TELEDIMOS_CORE_CAMERA_H
 #define TELEDIMOS_CORE_CAMERA_H
 
@@ -47,16 +46,16 @@ TD_API const char *td_camera_parameter_name(td_camera_model model, int index);
 TD_API td_status td_camera_check(const td_camera *camera, td_error *error);
 
 /* Projects the point `p` (camera frame, m). Outputs: pixel (2) px; d_point (2,3) and d_parameter (2,count),
- * row-major, each may be NULL. Returns false, outputs untouched, where the model has no image of the point: behind
- * the camera (pinhole, Brown: z <= 0; fisheye: at the centre or straight behind). Brown models are used as they
- * stand outside the image too, where they may fold; td_camera_unproject tells. */
+ * row-major, each may be NULL. Returns false, outputs untouched, where the model has no image of the point:
+ * behind the camera (pinhole, Brown: z <= 0; fisheye: at the centre or straight behind). Brown models are
+ * used as they stand outside the image too, where they may fold; td_camera_unproject tells. */
 TD_API bool td_camera_project(double pixel[2], double *d_point, double *d_parameter, const td_camera *camera,
                               const double p[3]);
 
-/* The unit direction `ray` (3) whose projection is `pixel` (px). Outputs d_pixel (3,2) and d_parameter (3,count),
- * row-major, each may be NULL. Newton's method with the analytic Jacobian; derivatives by the implicit function
- * theorem. Returns false, outputs untouched, when no ray is found that projects within 1e-9 px of the pixel on the
- * near side of the model's fold. */
+/* The unit direction `ray` (3) whose projection is `pixel` (px). Outputs d_pixel (3,2) and d_parameter
+ * (3,count), row-major, each may be NULL. Newton's method with the analytic Jacobian; derivatives by the
+ * implicit function theorem. Returns false, outputs untouched, when no ray is found that projects within 1e-9
+ * px of the pixel on the near side of the model's fold. */
 TD_API bool td_camera_unproject(double ray[3], double *d_pixel, double *d_parameter, const td_camera *camera,
                                 const double pixel[2]);
 

@@ -266,8 +266,8 @@ static td_status read_frame(td_dataset *d, size_t row, const columns *at, const 
         const char *image = td_csv_cell(csv, row, at->image[c]);
         if (!*image) continue;
         if (strlen(image) > MAX_PATH)
-            return td_csv_fail(csv, row, at->image[c], error, "a name of %zu bytes is no file's; at most %d", strlen(image),
-                               MAX_PATH);
+            return td_csv_fail(csv, row, at->image[c], error, "a name of %zu bytes is no file's; at most %d",
+                               strlen(image), MAX_PATH);
         frame->image[c] = td_path_join(root, image);
         if (!frame->image[c]) return out_of_memory(error);
     }

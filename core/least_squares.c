@@ -40,7 +40,8 @@ td_status td_problem_add_block(td_problem *problem, int *block, double *value, i
     if (size <= 0 || size > TD_MAX_BLOCK_SIZE || (manifold == TD_POSE && size != 7))
         return td_fail(error, TD_ERROR_ARGUMENT, "a block of %d numbers: 1–%d, or 7 for a pose", size,
                        TD_MAX_BLOCK_SIZE);
-    if (!grow((void **)&problem->block, &problem->block_capacity, problem->block_count, sizeof *problem->block))
+    if (!grow((void **)&problem->block, &problem->block_capacity, problem->block_count,
+              sizeof *problem->block))
         return td_fail(error, TD_ERROR_MEMORY, "no memory for block %zu", problem->block_count);
     *block = (int)problem->block_count++;
     problem->block[*block] = (td_block){.value = value,
@@ -76,8 +77,9 @@ td_status td_problem_hold_component(td_problem *problem, int block, int componen
     return TD_OK;
 }
 
-td_status td_problem_add_residual(td_problem *problem, td_residual_function function, const void *user, int rows,
-                                  const int *block, int block_count, const td_loss *loss, td_error *error)
+td_status td_problem_add_residual(td_problem *problem, td_residual_function function, const void *user,
+                                  int rows, const int *block, int block_count, const td_loss *loss,
+                                  td_error *error)
 {
     if (!function || rows <= 0 || block_count <= 0 || block_count > TD_MAX_RESIDUAL_BLOCKS)
         return td_fail(error, TD_ERROR_ARGUMENT, "a residual of %d rows over %d blocks", rows, block_count);
@@ -104,7 +106,8 @@ td_status td_problem_add_residual(td_problem *problem, td_residual_function func
     return TD_OK;
 }
 
-static bool evaluate_prior(double *residual, double *const *jacobian, const double *const *block, const void *user)
+static bool evaluate_prior(double *residual, double *const *jacobian, const double *const *block,
+                           const void *user)
 {
     const td_prior *prior = user;
     int t = prior->tangent;
@@ -157,8 +160,10 @@ td_status td_problem_add_prior(td_problem *problem, int block, const double *mea
     return status;
 }
 
-/* Replaces a group's r by w r, w = sqrt(rho(s)/s), so that its square is rho(s), and J by the derivative of w r. */
-static void apply_loss(const td_loss *loss, double *r, double *const *jacobian, const int *tangent, int blocks, int row)
+/* Replaces a group's r by w r, w = sqrt(rho(s)/s), so that its square is rho(s), and J by the derivative of w
+ * r. */
+static void apply_loss(const td_loss *loss, double *r, double *const *jacobian, const int *tangent,
+                       int blocks, int row)
 {
     double s = 0, c2 = loss->scale * loss->scale;
     for (int i = 0; i < loss->group; i++) s += r[row + i] * r[row + i];
@@ -206,8 +211,7 @@ td_solve_options td_solve_options_default(void)
 
 td_status td_solve_options_check(const td_solve_options *options, td_error *error)
 {
-    if (options->max_iterations <= 0)
-        return td_fail(error, TD_ERROR_ARGUMENT, "max_iterations: must be > 0");
+    if (options->max_iterations <= 0) return td_fail(error, TD_ERROR_ARGUMENT, "max_iterations: must be > 0");
     if (!(options->function_tolerance >= 0))
         return td_fail(error, TD_ERROR_ARGUMENT, "function_tolerance: must be >= 0");
     if (!(options->parameter_tolerance >= 0))

@@ -2,11 +2,12 @@
  *
  *     minimise  1/2 sum_i rho_i(|r_i(blocks)|^2)
  *
- * Residuals and their Jacobians are C functions. Jacobians are by the TANGENT of each block: a vector's is the vector
- * itself; a pose's (td_pose: 7 numbers) is pose.h's left perturbation, [rotation; translation], 6 numbers.
+ * Residuals and their Jacobians are C functions. Jacobians are by the TANGENT of each block: a vector's is
+ * the vector itself; a pose's (td_pose: 7 numbers) is pose.h's left perturbation, [rotation; translation], 6
+ * numbers.
  *
- * A block may be local: eliminated first (Schur complement), as the poses of views are. No residual touches two local
- * blocks. Blocks that are not local are shared. */
+ * A block may be local: eliminated first (Schur complement), as the poses of views are. No residual touches
+ * two local blocks. Blocks that are not local are shared. */
 #ifndef TELEDIMOS_CORE_LEAST_SQUARES_H
 #define TELEDIMOS_CORE_LEAST_SQUARES_H
 
@@ -27,8 +28,9 @@ typedef enum td_manifold { TD_VECTOR, TD_POSE } td_manifold;
 
 enum { TD_MAX_RESIDUAL_BLOCKS = 8, TD_MAX_BLOCK_SIZE = 32 };
 
-/* Writes residual (rows) and, where jacobian and jacobian[k] are not NULL, jacobian[k] (rows, tangent of block k),
- * row-major. `block[k]` is block k's value. False: cannot be evaluated there (the step is refused). */
+/* Writes residual (rows) and, where jacobian and jacobian[k] are not NULL, jacobian[k] (rows, tangent of
+ * block k), row-major. `block[k]` is block k's value. False: cannot be evaluated there (the step is refused).
+ */
 typedef bool (*td_residual_function)(double *residual, double *const *jacobian, const double *const *block,
                                      const void *user);
 
@@ -44,8 +46,8 @@ typedef struct td_loss {
 TD_API td_problem *td_problem_new(void); /* NULL: out of memory */
 TD_API void td_problem_free(td_problem **problem);
 
-/* Adds a block and returns its number in *block. `value` is borrowed: (size) for a vector, a td_pose (size 7) for a
- * pose; it is read and, when solved, written. */
+/* Adds a block and returns its number in *block. `value` is borrowed: (size) for a vector, a td_pose (size 7)
+ * for a pose; it is read and, when solved, written. */
 TD_API td_status td_problem_add_block(td_problem *problem, int *block, double *value, int size,
                                       td_manifold manifold, bool local, td_error *error);
 /* Holds a whole block, or one component of its tangent, at its value. */
@@ -57,8 +59,8 @@ TD_API td_status td_problem_add_residual(td_problem *problem, td_residual_functi
                                          int rows, const int *block, int block_count, const td_loss *loss,
                                          td_error *error);
 
-/* Adds the prior residual W (value - mean), W (t,t) row-major in the block's tangent (t numbers), `mean` like the
- * block's value; for a pose the difference is log(value * mean^-1). Both are copied. */
+/* Adds the prior residual W (value - mean), W (t,t) row-major in the block's tangent (t numbers), `mean` like
+ * the block's value; for a pose the difference is log(value * mean^-1). Both are copied. */
 TD_API td_status td_problem_add_prior(td_problem *problem, int block, const double *mean,
                                       const double *square_root_information, td_error *error);
 
@@ -83,17 +85,18 @@ typedef struct td_solve_summary {
     char message[256];               /* "not called" until it was */
 } td_solve_summary;
 
-/* Levenberg-Marquardt (Ceres). TD_OK with converged false when it ran out of iterations: values are the best found.
- * `summary` and `options` may be NULL. */
-TD_API td_status td_problem_solve(td_problem *problem, td_solve_summary *summary, const td_solve_options *options,
-                                  td_error *error);
+/* Levenberg-Marquardt (Ceres). TD_OK with converged false when it ran out of iterations: values are the best
+ * found. `summary` and `options` may be NULL. */
+TD_API td_status td_problem_solve(td_problem *problem, td_solve_summary *summary,
+                                  const td_solve_options *options, td_error *error);
 
-/* Covariance at the blocks' present values: (J^T J)^-1 with the losses' weights, residuals taken to be of unit
- * variance. Shared blocks by a rank-revealing eigenvalue decomposition after elimination of the local ones. */
+/* Covariance at the blocks' present values: (J^T J)^-1 with the losses' weights, residuals taken to be of
+ * unit variance. Shared blocks by a rank-revealing eigenvalue decomposition after elimination of the local
+ * ones. */
 typedef struct td_covariance td_covariance;
 
-/* A held block that is itself uncertain: its covariance (t,t), as far as known from elsewhere, is passed on to the
- * others (consider analysis: Bierman 1977, ch. VIII). */
+/* A held block that is itself uncertain: its covariance (t,t), as far as known from elsewhere, is passed on
+ * to the others (consider analysis: Bierman 1977, ch. VIII). */
 typedef struct td_consider {
     int block;
     const double *covariance; /* (t,t) row-major */
@@ -102,14 +105,17 @@ typedef struct td_consider {
 TD_API td_status td_problem_covariance(td_covariance **covariance, const td_problem *problem,
                                        const td_consider *consider, size_t consider_count, td_error *error);
 TD_API void td_covariance_free(td_covariance **covariance);
-/* Covariance (ta,tb), row-major, of two blocks' tangents; rows of held components are 0. Along null directions it is
- * that of the other directions only: ask for them first. */
-TD_API td_status td_covariance_get(double *out, const td_covariance *covariance, int a, int b, td_error *error);
-/* Directions in the shared blocks' free components along which the residuals do not change at all, once the local blocks
- * follow (curvature below 1e-13, each parameter scaled to unit curvature with the local blocks held). */
+/* Covariance (ta,tb), row-major, of two blocks' tangents; rows of held components are 0. Along null
+ * directions it is that of the other directions only: ask for them first. */
+TD_API td_status td_covariance_get(double *out, const td_covariance *covariance, int a, int b,
+                                   td_error *error);
+/* Directions in the shared blocks' free components along which the residuals do not change at all, once the
+ * local blocks follow (curvature below 1e-13, each parameter scaled to unit curvature with the local blocks
+ * held). */
 TD_API size_t td_covariance_null_count(const td_covariance *covariance);
 /* Component of null direction `index` along component `component` of `block`; units of the block. */
-TD_API double td_covariance_null_direction(const td_covariance *covariance, size_t index, int block, int component);
+TD_API double td_covariance_null_direction(const td_covariance *covariance, size_t index, int block,
+                                           int component);
 /* Sum of squared (robustly weighted) residuals, rows, and free parameters less null directions. */
 TD_API double td_covariance_chi2(const td_covariance *covariance);
 TD_API size_t td_covariance_rows(const td_covariance *covariance);

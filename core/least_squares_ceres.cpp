@@ -13,8 +13,8 @@
 
 namespace {
 
-// Jacobians come by the tangent already, so the "ambient" Jacobian that Ceres is given carries the tangent's columns
-// first and zeros behind, and this manifold's derivative of plus merely picks the free ones.
+// Jacobians come by the tangent already, so the "ambient" Jacobian that Ceres is given carries the tangent's
+// columns first and zeros behind, and this manifold's derivative of plus merely picks the free ones.
 class TangentManifold final : public ceres::Manifold {
   public:
     explicit TangentManifold(const td_block &block) : block_(block)
@@ -109,7 +109,8 @@ bool all_held(const td_problem &problem, const td_residual &residual)
     return true;
 }
 
-td_status solve(td_problem &problem, td_solve_summary &summary, const td_solve_options &options, td_error *error)
+td_status solve(td_problem &problem, td_solve_summary &summary, const td_solve_options &options,
+                td_error *error)
 {
     FLAGS_minloglevel = google::GLOG_FATAL; // Ceres speaks through its summary, not on stderr
     ceres::Problem ceres_problem;
@@ -133,13 +134,15 @@ td_status solve(td_problem &problem, td_solve_summary &summary, const td_solve_o
         summary.residuals += residual.rows;
         if (all_held(problem, residual)) continue;
         std::vector<double *> values;
-        for (int k = 0; k < residual.block_count; k++) values.push_back(problem.block[residual.block[k]].value);
+        for (int k = 0; k < residual.block_count; k++)
+            values.push_back(problem.block[residual.block[k]].value);
         ceres_problem.AddResidualBlock(new Residual(problem, residual), nullptr, values);
     }
 
     ceres::Solver::Options ceres_options;
-    ceres_options.linear_solver_type =
-        locals == 0 ? ceres::DENSE_QR : shared == 0 ? ceres::SPARSE_NORMAL_CHOLESKY : ceres::DENSE_SCHUR;
+    ceres_options.linear_solver_type = locals == 0   ? ceres::DENSE_QR
+                                       : shared == 0 ? ceres::SPARSE_NORMAL_CHOLESKY
+                                                     : ceres::DENSE_SCHUR;
     if (locals && shared) ceres_options.linear_solver_ordering = ordering;
     ceres_options.max_num_iterations = options.max_iterations;
     ceres_options.function_tolerance = options.function_tolerance;

@@ -1,8 +1,7 @@
 /* Covariance of a solved problem.
  *
- * With the normal matrix N = J^T J split into shared (s) and local (v) parts, and N_vv block-diagonal, since no
- * residual touches two local blocks:
- *     S    = N_ss - sum_v N_sv N_vv^-1 N_vs          (Schur complement)
+ * With the normal matrix N = J^T J split into shared (s) and local (v) parts, and N_vv block-diagonal, since
+ * no residual touches two local blocks: S    = N_ss - sum_v N_sv N_vv^-1 N_vs          (Schur complement)
  *     C_ss = S^+                                      (eigenvalues; null directions returned)
  *     C_vs = -N_vv^-1 N_vs C_ss
  *     C_vw = [v = w] N_vv^-1 + N_vv^-1 N_vs C_ss N_sw N_ww^-1
@@ -14,26 +13,27 @@
 #include "core/least_squares_internal.h"
 #include "core/linalg.h"
 
-/* Curvature, each parameter scaled to unit curvature with the local blocks held, below which a direction counts as null. */
+/* Curvature, each parameter scaled to unit curvature with the local blocks held, below which a direction
+ * counts as null. */
 #define NULL_CURVATURE 1e-13
 
 typedef struct local_part {
-    int size;          /* free components */
-    double *inverse;   /* N_vv^-1 (size,size) */
-    double *coupling;  /* N_vs (size,n), then N_vv^-1 N_vs */
+    int size;         /* free components */
+    double *inverse;  /* N_vv^-1 (size,size) */
+    double *coupling; /* N_vs (size,n), then N_vv^-1 N_vs */
 } local_part;
 
 struct td_covariance {
     size_t block_count;
     td_block *block;
-    size_t *offset;    /* (block_count) first shared column of a shared block */
-    local_part *local; /* (block_count) */
+    size_t *offset;                   /* (block_count) first shared column of a shared block */
+    local_part *local;                /* (block_count) */
     int (*column)[TD_MAX_BLOCK_SIZE]; /* (block_count) component to free component, -1: held */
-    size_t n;          /* shared columns */
-    double *shared;    /* N_ss, then S, then C_ss (n,n) */
-    double *scale;     /* (n) 1/sqrt of N_ss' diagonal */
+    size_t n;                         /* shared columns */
+    double *shared;                   /* N_ss, then S, then C_ss (n,n) */
+    double *scale;                    /* (n) 1/sqrt of N_ss' diagonal */
     size_t null_count;
-    double *null;      /* (null_count,n) */
+    double *null; /* (null_count,n) */
     double chi2;
     size_t rows, parameters;
 };
@@ -100,10 +100,12 @@ static td_status lay_out(td_covariance *c, const td_problem *problem, const td_c
         c->local[i].coupling = calloc(size * c->n + 1, sizeof(double));
         enough = c->local[i].inverse && c->local[i].coupling;
     }
-    return enough ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance of %zu parameters", c->n);
+    return enough ? TD_OK
+                  : td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance of %zu parameters", c->n);
 }
 
-/* Where the product of components of blocks a and b belongs in N; NULL: nowhere (held, or the mirrored half). */
+/* Where the product of components of blocks a and b belongs in N; NULL: nowhere (held, or the mirrored half).
+ */
 static double *normal_element(td_covariance *c, int a, int i, int b, int k)
 {
     int row = c->column[a][i], column = c->column[b][k];
@@ -136,8 +138,10 @@ static void add_normal(td_covariance *c, const td_residual *r, double *const *ja
 static td_status accumulate(td_covariance *c, const td_problem *problem, td_error *error)
 {
     size_t block_size = (size_t)problem->max_rows * TD_MAX_BLOCK_SIZE;
-    double *work = malloc((block_size * TD_MAX_RESIDUAL_BLOCKS + (size_t)problem->max_rows + 1) * sizeof *work);
-    if (!work) return td_fail(error, TD_ERROR_MEMORY, "no memory for Jacobians of %d rows", problem->max_rows);
+    double *work =
+        malloc((block_size * TD_MAX_RESIDUAL_BLOCKS + (size_t)problem->max_rows + 1) * sizeof *work);
+    if (!work)
+        return td_fail(error, TD_ERROR_MEMORY, "no memory for Jacobians of %d rows", problem->max_rows);
     double *jacobian[TD_MAX_RESIDUAL_BLOCKS], *out = work + block_size * TD_MAX_RESIDUAL_BLOCKS;
     for (int i = 0; i < TD_MAX_RESIDUAL_BLOCKS; i++) jacobian[i] = work + (size_t)i * block_size;
 
@@ -162,7 +166,8 @@ static td_status accumulate(td_covariance *c, const td_problem *problem, td_erro
 static td_status eliminate(td_covariance *c, td_error *error)
 {
     size_t n = c->n;
-    for (size_t i = 0; i < n; i++) c->scale[i] = c->shared[i * (n + 1)] > 0 ? 1 / sqrt(c->shared[i * (n + 1)]) : 1;
+    for (size_t i = 0; i < n; i++)
+        c->scale[i] = c->shared[i * (n + 1)] > 0 ? 1 / sqrt(c->shared[i * (n + 1)]) : 1;
     for (size_t v = 0; v < c->block_count; v++) {
         local_part *l = &c->local[v];
         if (!l->size) continue;
@@ -172,7 +177,8 @@ static td_status eliminate(td_covariance *c, td_error *error)
         td_status status = td_invert_spd(l->inverse, l->inverse, size, error);
         if (status != TD_OK) {
             free(solved);
-            return td_fail(error, TD_ERROR_DATA, "covariance: local block %zu is not determined by its residuals", v);
+            return td_fail(error, TD_ERROR_DATA,
+                           "covariance: local block %zu is not determined by its residuals", v);
         }
         if (n) td_multiply(solved, l->inverse, l->coupling, size, size, n);
         for (size_t i = 0; i < size; i++)
@@ -188,8 +194,8 @@ static td_status eliminate(td_covariance *c, td_error *error)
 }
 
 /* out (n,n) = pseudo-inverse of the symmetric s; null directions are appended to c. Works in place. */
-static td_status pseudo_inverse(double *out, td_covariance *c, const double *s, size_t n, const size_t *global,
-                                td_error *error)
+static td_status pseudo_inverse(double *out, td_covariance *c, const double *s, size_t n,
+                                const size_t *global, td_error *error)
 {
     if (!n) return TD_OK;
     double *work = malloc((2 * n * n + 2 * n) * sizeof *work);
@@ -221,8 +227,10 @@ static td_status pseudo_inverse(double *out, td_covariance *c, const double *s, 
     return status;
 }
 
-/* Splits the shared columns into free ones (x) and considered ones (c), inverts S_xx and adds the considered part. */
-static td_status invert_shared(td_covariance *c, const td_consider *consider, size_t consider_count, td_error *error)
+/* Splits the shared columns into free ones (x) and considered ones (c), inverts S_xx and adds the considered
+ * part. */
+static td_status invert_shared(td_covariance *c, const td_consider *consider, size_t consider_count,
+                               td_error *error)
 {
     size_t n = c->n, nx = 0, nc = 0;
     size_t *index = malloc((2 * n + 1) * sizeof *index);
@@ -272,7 +280,8 @@ static td_status invert_shared(td_covariance *c, const td_consider *consider, si
         for (size_t i = 0; i < nx; i++) {
             for (size_t j = 0; j < nx; j++) c->shared[index[i] * n + index[j]] += sxx[i * nx + j];
             for (size_t j = 0; j < nc; j++)
-                c->shared[index[i] * n + index[nx + j]] = c->shared[index[nx + j] * n + index[i]] = kc[i * nc + j];
+                c->shared[index[i] * n + index[nx + j]] = c->shared[index[nx + j] * n + index[i]] =
+                    kc[i * nc + j];
         }
     }
     for (size_t i = 0; i < nc; i++)
@@ -286,8 +295,8 @@ done:
     return status;
 }
 
-td_status td_problem_covariance(td_covariance **covariance, const td_problem *problem, const td_consider *consider,
-                                size_t consider_count, td_error *error)
+td_status td_problem_covariance(td_covariance **covariance, const td_problem *problem,
+                                const td_consider *consider, size_t consider_count, td_error *error)
 {
     *covariance = NULL;
     td_covariance *c = calloc(1, sizeof *c);
@@ -347,7 +356,8 @@ size_t td_covariance_null_count(const td_covariance *c)
 
 double td_covariance_null_direction(const td_covariance *c, size_t index, int block, int component)
 {
-    if (index >= c->null_count || block < 0 || (size_t)block >= c->block_count || c->block[block].local) return 0;
+    if (index >= c->null_count || block < 0 || (size_t)block >= c->block_count || c->block[block].local)
+        return 0;
     int column = c->column[block][component];
     return column < 0 ? 0 : c->null[index * c->n + c->offset[block] + (size_t)column];
 }

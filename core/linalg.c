@@ -57,19 +57,20 @@ td_status td_null_vector(double *x, double *ratio, const double *a, size_t m, si
     return finish(info, "singular values", error);
 }
 
-td_status td_least_squares_linear(double *x, size_t *rank, const double *a, const double *b, size_t m, size_t n,
-                                  td_error *error)
+td_status td_least_squares_linear(double *x, size_t *rank, const double *a, const double *b, size_t m,
+                                  size_t n, td_error *error)
 {
     if (m < n || !n)
-        return td_fail(error, TD_ERROR_ARGUMENT, "linear least squares: %zu equations for %zu unknowns", m, n);
+        return td_fail(error, TD_ERROR_ARGUMENT, "linear least squares: %zu equations for %zu unknowns", m,
+                       n);
     double *work = copy_of(a, m * n), *right = copy_of(b, m), *s = malloc(n * sizeof *s);
     lapack_int found = 0, info = 0;
     td_status status = TD_OK;
     if (!work || !right || !s) {
         status = td_fail(error, TD_ERROR_MEMORY, "no memory for %zux%zu equations", m, n);
     } else {
-        info = LAPACKE_dgelsd(LAPACK_ROW_MAJOR, (lapack_int)m, (lapack_int)n, 1, work, (lapack_int)n, right, 1, s,
-                              1e-12, &found);
+        info = LAPACKE_dgelsd(LAPACK_ROW_MAJOR, (lapack_int)m, (lapack_int)n, 1, work, (lapack_int)n, right,
+                              1, s, 1e-12, &found);
         if (info == 0) memcpy(x, right, n * sizeof *x);
         if (rank) *rank = (size_t)found;
         status = finish(info, "linear least squares", error);
@@ -109,14 +110,14 @@ td_status td_nearest_rotation(double r[9], const double m[9], td_error *error)
 
 void td_multiply(double *c, const double *a, const double *b, size_t m, size_t k, size_t n)
 {
-    cblas_dgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, (int)m, (int)n, (int)k, 1, a, (int)k, b, (int)n, 0, c,
-                (int)n);
+    cblas_dgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, (int)m, (int)n, (int)k, 1, a, (int)k, b, (int)n, 0,
+                c, (int)n);
 }
 
 void td_multiply_transposed(double *c, const double *a, const double *b, size_t m, size_t k, size_t n)
 {
-    cblas_dgemm(CblasRowMajor, CblasNoTrans, CblasTrans, (int)m, (int)n, (int)k, 1, a, (int)k, b, (int)k, 0, c,
-                (int)n);
+    cblas_dgemm(CblasRowMajor, CblasNoTrans, CblasTrans, (int)m, (int)n, (int)k, 1, a, (int)k, b, (int)k, 0,
+                c, (int)n);
 }
 
 td_status td_sandwich(double *s, const double *j, const double *a, size_t m, size_t n, td_error *error)

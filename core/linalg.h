@@ -10,19 +10,22 @@
 extern "C" {
 #endif
 
-/* OpenBLAS on one thread, for the whole process: the same bytes at any thread count, and no pool for matrices of a
- * few hundred rows. Programs call it once at their start. */
+/* OpenBLAS on one thread, for the whole process: the same bytes at any thread count, and no pool for matrices
+ * of a few hundred rows. Programs call it once at their start. */
 TD_API void td_linalg_single_thread(void);
 
-/* Eigenvalues (n), ascending, and eigenvectors as the rows of `vector` (n,n; may be NULL) of the symmetric a (n,n). */
-TD_API td_status td_eigen_symmetric(double *value, double *vector, const double *a, size_t n, td_error *error);
+/* Eigenvalues (n), ascending, and eigenvectors as the rows of `vector` (n,n; may be NULL) of the symmetric a
+ * (n,n). */
+TD_API td_status td_eigen_symmetric(double *value, double *vector, const double *a, size_t n,
+                                    td_error *error);
 
-/* Unit x (n) that minimises |a x|, a (m,n): the right singular vector of the smallest singular value. `ratio` (may be
- * NULL) = second smallest / largest singular value: near 0, x is not unique. */
-TD_API td_status td_null_vector(double *x, double *ratio, const double *a, size_t m, size_t n, td_error *error);
+/* Unit x (n) that minimises |a x|, a (m,n): the right singular vector of the smallest singular value. `ratio`
+ * (may be NULL) = second smallest / largest singular value: near 0, x is not unique. */
+TD_API td_status td_null_vector(double *x, double *ratio, const double *a, size_t m, size_t n,
+                                td_error *error);
 
-/* x (n) that minimises |a x - b|, a (m,n), b (m), m >= n; of minimal length where a is rank-deficient. `rank` may be
- * NULL. */
+/* x (n) that minimises |a x - b|, a (m,n), b (m), m >= n; of minimal length where a is rank-deficient. `rank`
+ * may be NULL. */
 TD_API td_status td_least_squares_linear(double *x, size_t *rank, const double *a, const double *b, size_t m,
                                          size_t n, td_error *error);
 
@@ -37,7 +40,8 @@ TD_API void td_multiply(double *c, const double *a, const double *b, size_t m, s
 TD_API void td_multiply_transposed(double *c, const double *a, const double *b, size_t m, size_t k, size_t n);
 
 /* s (m,m) = j (m,n) a (n,n) j^T: how a covariance passes through a Jacobian. */
-TD_API td_status td_sandwich(double *s, const double *j, const double *a, size_t m, size_t n, td_error *error);
+TD_API td_status td_sandwich(double *s, const double *j, const double *a, size_t m, size_t n,
+                             td_error *error);
 
 #ifdef __cplusplus
 }

@@ -14,7 +14,8 @@ typedef enum td_log_level { TD_LOG_DEBUG, TD_LOG_INFO, TD_LOG_WARNING } td_log_l
  * from several threads at once. */
 typedef void (*td_log_function)(td_log_level level, const char *topic, const char *text, void *user);
 
-/* A place to log to; a zeroed one swallows everything. Handed down inside the options, so there is no global. */
+/* A place to log to; a zeroed one swallows everything. Handed down inside the options, so there is no global.
+ */
 typedef struct td_log {
     td_log_function function; /* NULL: silent */
     void *user;

@@ -181,8 +181,9 @@ void td_rotation_left_jacobian_inverse(double j[9], const double omega[3])
 {
     double w[9], w2[9], angle = sqrt(dot3(omega, omega)), x = angle * angle;
     /* (1 - (a/2) cot(a/2))/a^2 */
-    double c = angle < SERIES_ANGLE ? 1. / 12 + x * (1. / 720 + x * (1. / 30240 + x * (1. / 1209600 + x / 47900160)))
-                                    : (1 - angle / 2 / tan(angle / 2)) / x;
+    double c = angle < SERIES_ANGLE
+                   ? 1. / 12 + x * (1. / 720 + x * (1. / 30240 + x * (1. / 1209600 + x / 47900160)))
+                   : (1 - angle / 2 / tan(angle / 2)) / x;
     skew(w, omega);
     multiply3(w2, w, w);
     for (int i = 0; i < 9; i++) j[i] = (i % 4 == 0) - w[i] / 2 + c * w2[i];

@@ -3,10 +3,10 @@
  * A pose `a_from_b` takes coordinates in b to coordinates in a: p_a = R p_b + t. Names chain:
  * base_from_camera = base_from_hand * hand_from_camera.
  *
- * Perturbations are on the LEFT, everywhere: a_from_b(xi) = Exp(xi) * a_from_b, xi = [omega; tau] = [rotation (rad);
- * translation (m)], both expressed in frame a, and Exp is the exponential of SE(3). A 6x6 covariance of a pose is
- * that of this xi, row-major, in this order. (Barfoot, State Estimation for Robotics, ch. 7; Sola et al. 2018,
- * "A micro Lie theory", with the blocks in the order rotation, translation.) */
+ * Perturbations are on the LEFT, everywhere: a_from_b(xi) = Exp(xi) * a_from_b, xi = [omega; tau] = [rotation
+ * (rad); translation (m)], both expressed in frame a, and Exp is the exponential of SE(3). A 6x6 covariance
+ * of a pose is that of this xi, row-major, in this order. (Barfoot, State Estimation for Robotics, ch. 7;
+ * Sola et al. 2018, "A micro Lie theory", with the blocks in the order rotation, translation.) */
 #ifndef TELEDIMOS_CORE_POSE_H
 #define TELEDIMOS_CORE_POSE_H
 
@@ -29,7 +29,8 @@ TD_API void td_pose_transform(double p_a[3], const td_pose *a_from_b, const doub
 /* Rotates only: for directions. */
 TD_API void td_pose_rotate(double v_a[3], const td_pose *a_from_b, const double v_b[3]);
 
-/* Rotation as a row-major 3x3 matrix; and back (the nearest rotation need not be given: a proper rotation is). */
+/* Rotation as a row-major 3x3 matrix; and back (the nearest rotation need not be given: a proper rotation
+ * is). */
 TD_API void td_pose_rotation(double r[9], const td_pose *pose);
 TD_API td_pose td_pose_from_rotation(const double r[9], const double t[3]);
 /* Row-major 4x4 homogeneous matrix. */

@@ -8,10 +8,12 @@ const char *td_status_text(td_status status)
 {
     switch (status) {
 #define TD_STATUS_CASE(code, text)                                                                           \
-    case code: return text;
+    case code:                                                                                               \
+        return text;
         TD_STATUS_LIST(TD_STATUS_CASE)
 #undef TD_STATUS_CASE
-    case TD_STATUS_COUNT: break;
+    case TD_STATUS_COUNT:
+        break;
     }
     return "unknown status";
 }

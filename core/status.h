@@ -32,7 +32,7 @@ typedef enum td_status {
 #define TD_STATUS_ENUM(code, text) code,
     TD_STATUS_LIST(TD_STATUS_ENUM)
 #undef TD_STATUS_ENUM
-    TD_STATUS_COUNT
+        TD_STATUS_COUNT
 } td_status;
 
 /* What went wrong, for a person: names the file, the view or the field, and what to do next. */

@@ -17,8 +17,8 @@
 #define check_near(a, b, tolerance)                                                                          \
     do {                                                                                                     \
         double a_ = (a), b_ = (b), t_ = (tolerance);                                                         \
-        if (!(fabs(a_ - b_) <= t_)) fail_msg("%s = %.17g, %s = %.17g, apart by %.3g > %.3g", #a, a_, #b, b_, \
-                                             fabs(a_ - b_), t_);                                             \
+        if (!(fabs(a_ - b_) <= t_))                                                                          \
+            fail_msg("%s = %.17g, %s = %.17g, apart by %.3g > %.3g", #a, a_, #b, b_, fabs(a_ - b_), t_);     \
     } while (0)
 
 #define check_less(a, b)                                                                                     \
@@ -38,8 +38,9 @@
 #define check_fails(call, expected, error, words)                                                            \
     do {                                                                                                     \
         td_status s_ = (call);                                                                               \
-        if (s_ != (expected)) fail_msg("%s: status '%s' instead of '%s'", #call, td_status_text(s_),         \
-                                       td_status_text(expected));                                            \
+        if (s_ != (expected))                                                                                \
+            fail_msg("%s: status '%s' instead of '%s'", #call, td_status_text(s_),                           \
+                     td_status_text(expected));                                                              \
         if (!strstr((error).message, words)) fail_msg("'%s' lacks '%s'", (error).message, words);            \
     } while (0)
 

@@ -1,6 +1,6 @@
-/* Checks every Jacobian of a least-squares problem against central differences: non-zero somewhere, close everywhere,
- * not identical everywhere (which would mean that it is a difference itself), and residuals that do not depend on
- * whether Jacobians are asked for. */
+/* Checks every Jacobian of a least-squares problem against central differences: non-zero somewhere, close
+ * everywhere, not identical everywhere (which would mean that it is a difference itself), and residuals that
+ * do not depend on whether Jacobians are asked for. */
 #ifndef TELEDIMOS_TESTS_JACOBIANS_H
 #define TELEDIMOS_TESTS_JACOBIANS_H
 
@@ -8,7 +8,8 @@
 #include "core/pose.h"
 #include "tests/check.h"
 
-static inline void move_block(double *out, const td_block *block, const double *value, int component, double step)
+static inline void move_block(double *out, const td_block *block, const double *value, int component,
+                              double step)
 {
     double delta[TD_MAX_BLOCK_SIZE] = {0};
     delta[component] = step;
@@ -22,7 +23,8 @@ static inline void move_block(double *out, const td_block *block, const double *
     }
 }
 
-/* Steps relative to each component's size; `tolerance` relative to the largest element of the block's Jacobian. */
+/* Steps relative to each component's size; `tolerance` relative to the largest element of the block's
+ * Jacobian. */
 static inline void check_problem_jacobians(const td_problem *problem, double tolerance)
 {
     bool identical = true;
@@ -45,7 +47,8 @@ static inline void check_problem_jacobians(const td_problem *problem, double tol
             const td_block *block = &problem->block[r->block[b]];
             double largest = 0, moved[TD_MAX_BLOCK_SIZE];
             const double *kept = value[b];
-            for (size_t k = 0; k < rows * (size_t)block->tangent; k++) largest = fmax(largest, fabs(jacobian[b][k]));
+            for (size_t k = 0; k < rows * (size_t)block->tangent; k++)
+                largest = fmax(largest, fabs(jacobian[b][k]));
             assert_true(largest > 0);
             for (int c = 0; c < block->tangent; c++) {
                 /* Large enough for the rounding of residuals of some 1000 px. */
@@ -57,7 +60,8 @@ static inline void check_problem_jacobians(const td_problem *problem, double tol
                 move_block(moved, block, kept, c, -step);
                 assert_true(td_residual_evaluate(problem, r, minus, NULL, value));
                 value[b] = kept;
-                for (size_t k = 0; k < rows; k++) column = fmax(column, fabs(jacobian[b][k * (size_t)block->tangent + (size_t)c]));
+                for (size_t k = 0; k < rows; k++)
+                    column = fmax(column, fabs(jacobian[b][k * (size_t)block->tangent + (size_t)c]));
                 for (size_t k = 0; k < rows; k++) {
                     double analytic = jacobian[b][k * (size_t)block->tangent + (size_t)c];
                     double difference = (plus[k] - minus[k]) / (2 * step);

@@ -113,7 +113,8 @@ void bench_print(const bench *b, const bench_row *row)
             printf("  %10.4g %-26s ratio %6.2f", row->peer, row->peer_name, ratio);
         else
             printf("  %10s %-26s %s", "–", row->peer_name, row->remark ? row->remark : "");
-        if (row->error_unit) printf("   error %.4g against %.4g %s", row->error_ours, row->error_peer, row->error_unit);
+        if (row->error_unit)
+            printf("   error %.4g against %.4g %s", row->error_ours, row->error_peer, row->error_unit);
         printf("   (%d runs)\n", row->runs);
     }
     fflush(stdout);
@@ -126,7 +127,8 @@ int main(int argc, char **argv)
         if (strcmp(argv[i], "--json") == 0) {
             b.json = true;
         } else if (strcmp(argv[i], "--help") == 0) {
-            printf("teledimos-bench [--json] [FILTER]\nRuns the benchmark rows whose names hold FILTER; ratio above 1: ours is "
+            printf("teledimos-bench [--json] [FILTER]\nRuns the benchmark rows whose names hold FILTER; "
+                   "ratio above 1: ours is "
                    "better.\n");
             return 0;
         } else {

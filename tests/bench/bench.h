@@ -10,13 +10,13 @@ extern "C" {
 #endif
 
 typedef struct bench_row {
-    const char *name, *unit;       /* unit "s", "ms", "MB": less is better; "1/s": more is better */
-    double ours, peer;             /* medians; NaN: not measured */
+    const char *name, *unit; /* unit "s", "ms", "MB": less is better; "1/s": more is better */
+    double ours, peer;       /* medians; NaN: not measured */
     const char *peer_name;
     const char *error_unit;        /* NULL: no accuracy to compare */
     double error_ours, error_peer; /* NaN: unknown */
     int runs;
-    const char *remark;            /* why a peer is missing; NULL */
+    const char *remark; /* why a peer is missing; NULL */
 } bench_row;
 
 typedef struct bench {
@@ -36,14 +36,15 @@ double bench_median(double *x, size_t n);
 typedef void (*bench_function)(void *user);
 double bench_time(bench_function function, void *user, int runs);
 
-/* A command, output thrown away: median wall time of `runs` after one warm-up, largest peak memory (MB; may be NULL).
- * Negative when it cannot be run or fails. */
+/* A command, output thrown away: median wall time of `runs` after one warm-up, largest peak memory (MB; may
+ * be NULL). Negative when it cannot be run or fails. */
 double bench_command(const char *const *argv, int runs, double *peak_mb);
 
 /* bench_calibrate.c */
 void bench_calibrate(const bench *b);
 
-/* bench_opencv.cpp: OpenCV on the same points. n views of (points,2) pixels in each image; outputs RMS (px), baseline (m). */
+/* bench_opencv.cpp: OpenCV on the same points. n views of (points,2) pixels in each image; outputs RMS (px),
+ * baseline (m). */
 typedef struct bench_stereo {
     const double *left, *right; /* (views,points,2) */
     size_t views;

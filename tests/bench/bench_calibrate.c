@@ -17,7 +17,8 @@ typedef struct calibrate_input {
     double rms_px, baseline_m;
 } calibrate_input;
 
-/* The joint solve with its covariance, from points: what OpenCV's calibrateCamera twice and stereoCalibrate do. */
+/* The joint solve with its covariance, from points: what OpenCV's calibrateCamera twice and stereoCalibrate
+ * do. */
 static void solve(void *user)
 {
     calibrate_input *in = user;
@@ -57,7 +58,8 @@ static bool load(calibrate_input *in, const bench *b)
     in->image = calloc(2 * in->dataset->frame_count, sizeof(td_image *));
     for (size_t v = 0; v < in->dataset->frame_count; v++)
         for (int k = 0; k < 2; k++)
-            if (td_image_read(&in->image[in->images], in->dataset->frame[v].image[k], 1, NULL) == TD_OK) in->images++;
+            if (td_image_read(&in->image[in->images], in->dataset->frame[v].image[k], 1, NULL) == TD_OK)
+                in->images++;
     return true;
 }
 
@@ -67,12 +69,17 @@ static void row_solve(const bench *b, calibrate_input *in)
     size_t views = in->observations->view_count, points = 54;
     double *left = malloc(4 * views * points * sizeof *left), *right = left + 2 * views * points;
     for (size_t v = 0; v < views; v++) {
-        memcpy(left + 2 * v * points, td_observations_get(in->observations, v, 0)->point, 2 * points * sizeof *left);
-        memcpy(right + 2 * v * points, td_observations_get(in->observations, v, 1)->point, 2 * points * sizeof *left);
+        memcpy(left + 2 * v * points, td_observations_get(in->observations, v, 0)->point,
+               2 * points * sizeof *left);
+        memcpy(right + 2 * v * points, td_observations_get(in->observations, v, 1)->point,
+               2 * points * sizeof *left);
     }
     bench_stereo stereo = {left, right, views, 9, 6, 640, 480, 0.025, NAN, NAN};
     enum { RUNS = 15 };
-    bench_row row = {.name = "calibrate joint solve", .unit = "ms", .peer_name = "OpenCV stereoCalibrate", .runs = RUNS,
+    bench_row row = {.name = "calibrate joint solve",
+                     .unit = "ms",
+                     .peer_name = "OpenCV stereoCalibrate",
+                     .runs = RUNS,
                      .error_unit = "px RMS"};
     row.ours = 1e3 * bench_time(solve, in, RUNS);
     row.peer = 1e3 * bench_time(bench_opencv_stereo, &stereo, RUNS);
@@ -89,7 +96,8 @@ static void row_corners(const bench *b, calibrate_input *in)
     for (size_t i = 0; i < in->images; i++) data[i] = in->image[i]->data;
     bench_corners corners = {data, in->images, 640, 480, 9, 6, 0};
     enum { RUNS = 7 };
-    bench_row row = {.name = "calibrate corners", .unit = "1/s", .peer_name = "OpenCV find + cornerSubPix", .runs = RUNS};
+    bench_row row = {
+        .name = "calibrate corners", .unit = "1/s", .peer_name = "OpenCV find + cornerSubPix", .runs = RUNS};
     double ours = bench_time(detect, in, RUNS), peer = bench_time(bench_opencv_corners, &corners, RUNS);
     row.ours = 54 * (double)in->found / ours;
     row.peer = 54 * (double)corners.found / peer;
@@ -112,17 +120,36 @@ static void row_job(const bench *b, calibrate_input *in)
         for (size_t v = 0; v < in->observations->view_count; v++)
             for (size_t p = 0; p < 54; p++) {
                 const double *x = td_observations_get(in->observations, v, k)->point + 2 * p;
-                fprintf(file, "%s%s.jpg %.12g %.12g 0\n", k ? "right" : "left", in->observations->view_name[v], x[0], x[1]);
+                fprintf(file, "%s%s.jpg %.12g %.12g 0\n", k ? "right" : "left",
+                        in->observations->view_name[v], x[0], x[1]);
             }
     fclose(file);
     enum { RUNS = 7 };
     double peak = 0, peer_peak = 0;
     const char *const ours[] = {b->program, "calibrate", dataset, "-o", out, "-q", NULL};
-    const char *const peer[] = {"mrcal-calibrate-cameras", "--corners-cache", corners, "--lensmodel", "LENSMODEL_OPENCV5",
-                                "--focal", "530", "--imagersize", "640", "480", "--object-spacing", "0.025",
-                                "--object-width-n", "9", "--object-height-n", "6", "--outdir", folder, "left*.jpg",
-                                "right*.jpg", NULL};
-    bench_row row = {.name = "calibrate whole job", .unit = "s", .peer_name = "mrcal, corners given", .runs = RUNS};
+    const char *const peer[] = {"mrcal-calibrate-cameras",
+                                "--corners-cache",
+                                corners,
+                                "--lensmodel",
+                                "LENSMODEL_OPENCV5",
+                                "--focal",
+                                "530",
+                                "--imagersize",
+                                "640",
+                                "480",
+                                "--object-spacing",
+                                "0.025",
+                                "--object-width-n",
+                                "9",
+                                "--object-height-n",
+                                "6",
+                                "--outdir",
+                                folder,
+                                "left*.jpg",
+                                "right*.jpg",
+                                NULL};
+    bench_row row = {
+        .name = "calibrate whole job", .unit = "s", .peer_name = "mrcal, corners given", .runs = RUNS};
     row.ours = bench_command(ours, RUNS, &peak);
     row.peer = bench_command(peer, RUNS, &peer_peak);
     if (row.peer < 0) {
@@ -145,7 +172,8 @@ static void row_start(const bench *b)
     enum { RUNS = 30 };
     const char *const ours[] = {b->program, "--version", NULL};
     const char *const peer[] = {"mrcal-calibrate-cameras", "--help", NULL};
-    bench_row row = {.name = "calibrate start-up (--version)", .unit = "ms", .peer_name = "mrcal --help", .runs = RUNS};
+    bench_row row = {
+        .name = "calibrate start-up (--version)", .unit = "ms", .peer_name = "mrcal --help", .runs = RUNS};
     row.ours = 1e3 * bench_command(ours, RUNS, NULL);
     row.peer = 1e3 * bench_command(peer, 5, NULL);
     if (row.peer < 0) {
@@ -157,7 +185,9 @@ static void row_start(const bench *b)
 
 void bench_calibrate(const bench *b)
 {
-    if (b->filter && !strstr("calibrate joint solve calibrate corners calibrate whole job calibrate peak memory calibrate start-up", b->filter))
+    if (b->filter && !strstr("calibrate joint solve calibrate corners calibrate whole job calibrate peak "
+                             "memory calibrate start-up",
+                             b->filter))
         return;
     calibrate_input in = {0};
     if (!load(&in, b)) return;

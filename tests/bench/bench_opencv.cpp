@@ -15,7 +15,8 @@ extern "C" void bench_opencv_stereo(void *user)
     std::vector<std::vector<cv::Point2f>> left(s->views), right(s->views);
     for (size_t v = 0; v < s->views; v++)
         for (size_t i = 0; i < points; i++) {
-            object[v].emplace_back(float(i % s->columns * s->spacing), float(i / s->columns * s->spacing), 0.f);
+            object[v].emplace_back(float(i % s->columns * s->spacing), float(i / s->columns * s->spacing),
+                                   0.f);
             const double *a = s->left + 2 * (v * points + i), *b = s->right + 2 * (v * points + i);
             left[v].emplace_back(float(a[0]), float(a[1]));
             right[v].emplace_back(float(b[0]), float(b[1]));
@@ -25,8 +26,9 @@ extern "C" void bench_opencv_stereo(void *user)
     std::vector<cv::Mat> rvecs, tvecs;
     cv::calibrateCamera(object, left, size, k1, d1, rvecs, tvecs);
     cv::calibrateCamera(object, right, size, k2, d2, rvecs, tvecs);
-    s->rms_px = cv::stereoCalibrate(object, left, right, k1, d1, k2, d2, size, r, t, e, f, cv::CALIB_USE_INTRINSIC_GUESS,
-                                    cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 100, 1e-8));
+    s->rms_px = cv::stereoCalibrate(
+        object, left, right, k1, d1, k2, d2, size, r, t, e, f, cv::CALIB_USE_INTRINSIC_GUESS,
+        cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 100, 1e-8));
     s->baseline_m = cv::norm(t);
 }
 

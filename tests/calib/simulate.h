@@ -53,13 +53,16 @@ static inline td_pose simulated_pose(const simulation *s, td_random *random)
     for (;;) {
         double w = s->target.plane[0].spacing_m * (s->target.plane[0].columns - 1) / 2;
         double h = s->target.plane[0].spacing_m * (s->target.plane[0].rows - 1) / 2;
-        double about = 6.2831853 * td_random_uniform(random), tilt = s->largest_tilt * td_random_uniform(random);
+        double about = 6.2831853 * td_random_uniform(random),
+               tilt = s->largest_tilt * td_random_uniform(random);
         double turn = 0.6 * (td_random_uniform(random) - 0.5);
-        const double lean[6] = {tilt * cos(about), tilt * sin(about), 0, 0, 0, 0}, spin[6] = {0, 0, turn, 0, 0, 0};
+        const double lean[6] = {tilt * cos(about), tilt * sin(about), 0, 0, 0, 0},
+                     spin[6] = {0, 0, turn, 0, 0, 0};
         const double centre[6] = {0, 0, 0, -w, -h, 0};
         double z = s->near_m + (s->far_m - s->near_m) * td_random_uniform(random);
-        const double away[6] = {0, 0, 0, 0.5 * z * (td_random_uniform(random) - 0.5),
-                                0.4 * z * (td_random_uniform(random) - 0.5), z};
+        const double away[6] = {
+            0, 0, 0, 0.5 * z * (td_random_uniform(random) - 0.5), 0.4 * z * (td_random_uniform(random) - 0.5),
+            z};
         td_pose a = td_pose_exp(away), l = td_pose_exp(lean), t = td_pose_exp(spin), c = td_pose_exp(centre);
         td_pose p = td_pose_compose(&a, &l);
         p = td_pose_compose(&p, &t);
@@ -71,17 +74,17 @@ static inline td_pose simulated_pose(const simulation *s, td_random *random)
                 td_target_point(x, &s->target, i);
                 td_pose_transform(x, &p, x);
                 td_pose_transform(x, &s->rig->camera[k].camera_from_rig, x);
-                whole = td_camera_project(u, NULL, NULL, &s->rig->camera[k].camera, x) && u[0] > 0 && u[0] < 639 &&
-                        u[1] > 0 && u[1] < 479;
+                whole = td_camera_project(u, NULL, NULL, &s->rig->camera[k].camera, x) && u[0] > 0 &&
+                        u[0] < 639 && u[1] > 0 && u[1] < 479;
             }
         if (whole) return p;
     }
 }
 
-/* Views whose poses come from `scene_seed`, with Gaussian noise `noise_px` on each coordinate from `noise_seed`. `sigma_px` is what
- * the detections say of themselves. */
-static inline td_observations *simulate(const simulation *s, uint64_t scene_seed, uint64_t noise_seed, double noise_px,
-                                        double sigma_px)
+/* Views whose poses come from `scene_seed`, with Gaussian noise `noise_px` on each coordinate from
+ * `noise_seed`. `sigma_px` is what the detections say of themselves. */
+static inline td_observations *simulate(const simulation *s, uint64_t scene_seed, uint64_t noise_seed,
+                                        double noise_px, double sigma_px)
 {
     td_error error = {0};
     td_observations *o = NULL;
@@ -118,8 +121,8 @@ static inline td_observations *simulate(const simulation *s, uint64_t scene_seed
     return o;
 }
 
-/* Bounds on sqrt(sum of n squared standard normals / n) that a true sigma leaves once in a thousand times over
- * `parameters` of them together (Bonferroni; Wilson and Hilferty's approximation of chi-square). */
+/* Bounds on sqrt(sum of n squared standard normals / n) that a true sigma leaves once in a thousand times
+ * over `parameters` of them together (Bonferroni; Wilson and Hilferty's approximation of chi-square). */
 static inline void sigma_bounds(double *low, double *high, size_t n, size_t parameters)
 {
     /* Quantile of the standard normal by bisection on erfc. */

@@ -1,8 +1,9 @@
-/* Proves: the joint problem's Jacobians; exact recovery without noise for every camera model; outlying corners, blurred,
- * turned and swapped views are named; a real bulge of the board is found and none is invented; held parts stay and pass
- * their covariance on; the same bytes at any thread count; views that cannot determine the cameras are told in words.
- * Reference: simulated truth. Tolerances: exact recovery to 1e-6 relative (solver tolerance over conditioning); others
- * stated in place. Blind to: detection (test_chessboard, test_marks) and to sigmas (test_calibrate_sigma). */
+/* Proves: the joint problem's Jacobians; exact recovery without noise for every camera model; outlying
+ * corners, blurred, turned and swapped views are named; a real bulge of the board is found and none is
+ * invented; held parts stay and pass their covariance on; the same bytes at any thread count; views that
+ * cannot determine the cameras are told in words. Reference: simulated truth. Tolerances: exact recovery to
+ * 1e-6 relative (solver tolerance over conditioning); others stated in place. Blind to: detection
+ * (test_chessboard, test_marks) and to sigmas (test_calibrate_sigma). */
 #include "calib/bundle_internal.h"
 #include "calib/calibrate.h"
 #include "core/linalg.h"
@@ -44,7 +45,8 @@ static void check_rig(const td_rig *found, const td_rig *truth, double relative)
         const td_camera *a = &found->camera[k].camera, *b = &truth->camera[k].camera;
         for (int i = 0; i < 4; i++) check_near(a->parameter[i], b->parameter[i], relative * b->parameter[0]);
         for (int i = 0; i < 3; i++)
-            check_near(found->camera[k].camera_from_rig.t[i], truth->camera[k].camera_from_rig.t[i], relative * 0.1);
+            check_near(found->camera[k].camera_from_rig.t[i], truth->camera[k].camera_from_rig.t[i],
+                       relative * 0.1);
     }
 }
 
@@ -106,7 +108,8 @@ static void test_outliers(void **state)
     td_observations_get(o, 2, 0)->point[20] += 3;
     td_observations_get(o, 7, 1)->point[31] -= 1.2;
     td_random random = td_random_seed(9, 9);
-    for (size_t i = 0; i < 2 * td_observations_get(o, 4, 1)->count; i++) /* a blurred image: 8 times the noise */
+    for (size_t i = 0; i < 2 * td_observations_get(o, 4, 1)->count;
+         i++) /* a blurred image: 8 times the noise */
         td_observations_get(o, 4, 1)->point[i] += 0.8 * td_random_normal(&random);
     check_ok(td_calibrate(&c, o, NULL, &error), error);
     size_t points = td_target_point_count(&s.target);
@@ -299,10 +302,15 @@ static void test_three_cameras(void **state)
 int main(void)
 {
     td_linalg_single_thread();
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_jacobians), cmocka_unit_test(test_exact),   cmocka_unit_test(test_methods),
-        cmocka_unit_test(test_outliers),  cmocka_unit_test(test_turned_and_swapped),
-        cmocka_unit_test(test_warp),      cmocka_unit_test(test_hold),    cmocka_unit_test(test_threads),
-        cmocka_unit_test(test_weak),      cmocka_unit_test(test_three_cameras)};
+    const struct CMUnitTest tests[] = {cmocka_unit_test(test_jacobians),
+                                       cmocka_unit_test(test_exact),
+                                       cmocka_unit_test(test_methods),
+                                       cmocka_unit_test(test_outliers),
+                                       cmocka_unit_test(test_turned_and_swapped),
+                                       cmocka_unit_test(test_warp),
+                                       cmocka_unit_test(test_hold),
+                                       cmocka_unit_test(test_threads),
+                                       cmocka_unit_test(test_weak),
+                                       cmocka_unit_test(test_three_cameras)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

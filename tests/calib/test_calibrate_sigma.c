@@ -1,8 +1,8 @@
-/* Proves: the standard deviations that a calibration prints are those of its errors: intrinsics, distortion, baseline and
- * relative rotation, over repeated simulated calibrations of one scene with fresh Gaussian noise.
- * Reference: simulated truth. Bounds: error over sigma, root mean square, stays within what chi-square leaves once in a
- * thousand times for all parameters together; 1000 calibrations with TELEDIMOS_FULL=1, 120 otherwise.
- * Blind to: model error and outliers, which no covariance foresees. */
+/* Proves: the standard deviations that a calibration prints are those of its errors: intrinsics, distortion,
+ * baseline and relative rotation, over repeated simulated calibrations of one scene with fresh Gaussian
+ * noise. Reference: simulated truth. Bounds: error over sigma, root mean square, stays within what chi-square
+ * leaves once in a thousand times for all parameters together; 1000 calibrations with TELEDIMOS_FULL=1, 120
+ * otherwise. Blind to: model error and outliers, which no covariance foresees. */
 #include "calib/calibrate.h"
 #include "core/linalg.h"
 #include "core/parallel.h"
@@ -31,8 +31,9 @@ static void run_one(size_t index, void *user)
         int n = 0;
         for (int k = 0; k < 2; k++)
             for (int i = 0; i < 9; i++)
-                out[n++] = (c->rig->camera[k].camera.parameter[i] - mc->truth->rig->camera[k].camera.parameter[i]) /
-                           c->camera[k].sigma[i];
+                out[n++] =
+                    (c->rig->camera[k].camera.parameter[i] - mc->truth->rig->camera[k].camera.parameter[i]) /
+                    c->camera[k].sigma[i];
         const td_pose *t = &mc->truth->rig->camera[1].camera_from_rig;
         out[n++] = (c->pair[0].baseline_m - td_pose_distance(t)) / c->pair[0].sigma_baseline_m;
         double xi[6];
@@ -47,17 +48,17 @@ static void run_one(size_t index, void *user)
 static void check_coverage(double noise_px, double sigma_px)
 {
     static const char *const names[PARAMETERS] = {
-        "left.fx", "left.fy", "left.cx", "left.cy", "left.k1", "left.k2", "left.p1", "left.p2", "left.k3", "right.fx",
-        "right.fy", "right.cx", "right.cy", "right.k1", "right.k2", "right.p1", "right.p2", "right.k3", "baseline",
-        "rotation x", "rotation y", "rotation z"};
+        "left.fx",  "left.fy",  "left.cx",  "left.cy",    "left.k1",    "left.k2",   "left.p1",  "left.p2",
+        "left.k3",  "right.fx", "right.fy", "right.cx",   "right.cy",   "right.k1",  "right.k2", "right.p1",
+        "right.p2", "right.k3", "baseline", "rotation x", "rotation y", "rotation z"};
     size_t runs = full_tests() ? MOST_RUNS : 120;
     simulation s = simulate_stereo(TD_CAMERA_BROWN5, 12);
     monte_carlo mc = {&s, noise_px, sigma_px, calloc(MOST_RUNS, sizeof *mc.normalised)};
     assert_int_equal(td_parallel_for(runs, 0, run_one, &mc, NULL, NULL), TD_OK);
     double low, high, total = 0;
     sigma_bounds(&low, &high, runs, PARAMETERS);
-    printf("noise %.2f px, detections say %.2f px, %zu calibrations: error over sigma within [%.3f, %.3f]\n", noise_px,
-           sigma_px, runs, low, high);
+    printf("noise %.2f px, detections say %.2f px, %zu calibrations: error over sigma within [%.3f, %.3f]\n",
+           noise_px, sigma_px, runs, low, high);
     for (int p = 0; p < PARAMETERS; p++) {
         double sum = 0;
         for (size_t i = 0; i < runs; i++) sum += mc.normalised[i][p] * mc.normalised[i][p] / (double)runs;
@@ -87,6 +88,7 @@ static void test_estimated_sigma(void **state)
 int main(void)
 {
     td_linalg_single_thread();
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_known_sigma), cmocka_unit_test(test_estimated_sigma)};
+    const struct CMUnitTest tests[] = {cmocka_unit_test(test_known_sigma),
+                                       cmocka_unit_test(test_estimated_sigma)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

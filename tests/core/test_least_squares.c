@@ -1,16 +1,16 @@
-/* Proves: the solver finds known minima (a curve fit, poses from points, robustly with outliers); every kind of block,
- * hold, prior and loss is honoured; Jacobians with losses and priors equal differences; the covariance equals the one
- * computed densely and independently from the whole Jacobian, with local blocks, held components and considered
- * blocks; null directions are found and are the true ones.
- * Reference: closed forms and a dense inverse. Tolerances: solutions 1e-8 (solver tolerance), covariance 1e-9 relative
+/* Proves: the solver finds known minima (a curve fit, poses from points, robustly with outliers); every kind
+ * of block, hold, prior and loss is honoured; Jacobians with losses and priors equal differences; the
+ * covariance equals the one computed densely and independently from the whole Jacobian, with local blocks,
+ * held components and considered blocks; null directions are found and are the true ones. Reference: closed
+ * forms and a dense inverse. Tolerances: solutions 1e-8 (solver tolerance), covariance 1e-9 relative
  * (conditioning below 1e6). Blind to: whether residuals given by users are right. */
 #include "core/least_squares.h"
 #include "core/linalg.h"
 #include "core/random.h"
 #include "tests/jacobians.h"
 
-/* Points known in a frame, seen in another after a pose and a common scale and shift: block 0 vector {scale, shift},
- * block 1 pose. */
+/* Points known in a frame, seen in another after a pose and a common scale and shift: block 0 vector {scale,
+ * shift}, block 1 pose. */
 typedef struct sighting {
     double p[3], seen[3];
 } sighting;
@@ -52,20 +52,23 @@ static void scene_init(scene *sc, double noise, const td_loss *loss, uint64_t se
     memset(sc, 0, sizeof *sc);
     sc->problem = td_problem_new();
     sc->common[0] = 1.1;
-    check_ok(td_problem_add_block(sc->problem, &sc->common_block, sc->common, 2, TD_VECTOR, false, &error), error);
+    check_ok(td_problem_add_block(sc->problem, &sc->common_block, sc->common, 2, TD_VECTOR, false, &error),
+             error);
     for (int k = 0; k < POSES; k++) {
         double xi[6];
         for (int i = 0; i < 6; i++) xi[i] = td_random_normal(&random);
         sc->true_pose[k] = td_pose_exp(xi);
         for (int i = 0; i < 6; i++) xi[i] = 0.1 * td_random_normal(&random);
         sc->pose[k] = td_pose_perturb(&sc->true_pose[k], xi);
-        check_ok(td_problem_add_block(sc->problem, &sc->pose_block[k], (double *)&sc->pose[k], 7, TD_POSE, true, &error),
+        check_ok(td_problem_add_block(sc->problem, &sc->pose_block[k], (double *)&sc->pose[k], 7, TD_POSE,
+                                      true, &error),
                  error);
         for (int i = 0; i < POINTS; i++) {
             sighting *s = &sc->s[k * POINTS + i];
             for (int j = 0; j < 3; j++) s->p[j] = td_random_normal(&random);
             td_pose_transform(s->seen, &sc->true_pose[k], s->p);
-            for (int j = 0; j < 3; j++) s->seen[j] = 1.3 * s->seen[j] + (j == 0 ? 0.4 : 0) + noise * td_random_normal(&random);
+            for (int j = 0; j < 3; j++)
+                s->seen[j] = 1.3 * s->seen[j] + (j == 0 ? 0.4 : 0) + noise * td_random_normal(&random);
             int blocks[2] = {sc->common_block, sc->pose_block[k]};
             check_ok(td_problem_add_residual(sc->problem, sight, s, 3, blocks, 2, loss, &error), error);
         }
@@ -150,7 +153,8 @@ static void test_hold_and_prior(void **state)
 }
 
 /* Dense J^T J over chosen free components, by brute force from single-residual evaluations. */
-static void dense_normal(double *n, const td_problem *problem, const int *block_of, const int *component_of, size_t size)
+static void dense_normal(double *n, const td_problem *problem, const int *block_of, const int *component_of,
+                         size_t size)
 {
     memset(n, 0, size * size * sizeof *n);
     for (size_t i = 0; i < problem->residual_count; i++) {
@@ -209,8 +213,9 @@ static void test_covariance(void **state)
     td_problem_free(&sc.problem);
 }
 
-/* Consider analysis: hold the common block, say how uncertain it is, and compare the poses' covariance with Monte Carlo over
- * the held values. 4000 draws: the standard deviation's own relative sigma is 1.1 %, 5 % is over 4 of them. */
+/* Consider analysis: hold the common block, say how uncertain it is, and compare the poses' covariance with
+ * Monte Carlo over the held values. 4000 draws: the standard deviation's own relative sigma is 1.1 %, 5 % is
+ * over 4 of them. */
 static void test_consider(void **state)
 {
     (void)state;
@@ -287,9 +292,11 @@ static void test_refusals(void **state)
     int block, two[2] = {0, 0}, calls = 0;
     double value[3] = {0};
     td_problem *p = td_problem_new();
-    check_fails(td_problem_add_block(p, &block, value, 0, TD_VECTOR, false, &error), TD_ERROR_ARGUMENT, error, "0 numbers");
+    check_fails(td_problem_add_block(p, &block, value, 0, TD_VECTOR, false, &error), TD_ERROR_ARGUMENT, error,
+                "0 numbers");
     check_ok(td_problem_add_block(p, &block, value, 3, TD_VECTOR, false, &error), error);
-    check_fails(td_problem_add_residual(p, sight, NULL, 3, two, 2, NULL, &error), TD_ERROR_ARGUMENT, error, "twice");
+    check_fails(td_problem_add_residual(p, sight, NULL, 3, two, 2, NULL, &error), TD_ERROR_ARGUMENT, error,
+                "twice");
     check_fails(td_problem_hold(p, 9, &error), TD_ERROR_ARGUMENT, error, "no block 9");
     check_fails(td_problem_hold_component(p, block, 3, &error), TD_ERROR_ARGUMENT, error, "component 3");
     td_solve_options options = td_solve_options_default();
@@ -310,9 +317,10 @@ static void test_refusals(void **state)
 int main(void)
 {
     td_linalg_single_thread();
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_solve),      cmocka_unit_test(test_robust),
-                                       cmocka_unit_test(test_hold_and_prior), cmocka_unit_test(test_covariance),
-                                       cmocka_unit_test(test_consider),   cmocka_unit_test(test_null_direction),
-                                       cmocka_unit_test(test_refusals)};
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_solve),          cmocka_unit_test(test_robust),
+        cmocka_unit_test(test_hold_and_prior), cmocka_unit_test(test_covariance),
+        cmocka_unit_test(test_consider),       cmocka_unit_test(test_null_direction),
+        cmocka_unit_test(test_refusals)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -1,6 +1,6 @@
-/* Proves: each wrapper solves what its header says, on random problems with known answers; row-major throughout (every
- * matrix used is asymmetric where it may be). Tolerance: condition numbers are below 1e4, so 1e-10 leaves room.
- * Blind to: ill-conditioned input, which LAPACK's own tests cover. */
+/* Proves: each wrapper solves what its header says, on random problems with known answers; row-major
+ * throughout (every matrix used is asymmetric where it may be). Tolerance: condition numbers are below 1e4,
+ * so 1e-10 leaves room. Blind to: ill-conditioned input, which LAPACK's own tests cover. */
 #include "core/linalg.h"
 #include "core/random.h"
 #include "tests/check.h"
@@ -84,7 +84,8 @@ static void test_least_squares_linear(void **state)
     check_ok(td_least_squares_linear(x, &rank, a, b, M, N, &error), error);
     assert_int_equal(rank, 3);
     check_near(x[3], x[2], 1e-10); /* shortest solution shares equally */
-    check_fails(td_least_squares_linear(x, &rank, a, b, 3, N, &error), TD_ERROR_ARGUMENT, error, "3 equations for 4");
+    check_fails(td_least_squares_linear(x, &rank, a, b, 3, N, &error), TD_ERROR_ARGUMENT, error,
+                "3 equations for 4");
 }
 
 static void test_invert_and_sandwich(void **state)
@@ -128,8 +129,9 @@ static void test_nearest_rotation(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_eigen), cmocka_unit_test(test_null_vector), cmocka_unit_test(test_least_squares_linear),
-        cmocka_unit_test(test_invert_and_sandwich), cmocka_unit_test(test_nearest_rotation)};
+    const struct CMUnitTest tests[] = {cmocka_unit_test(test_eigen), cmocka_unit_test(test_null_vector),
+                                       cmocka_unit_test(test_least_squares_linear),
+                                       cmocka_unit_test(test_invert_and_sandwich),
+                                       cmocka_unit_test(test_nearest_rotation)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

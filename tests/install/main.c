@@ -14,7 +14,8 @@ int main(int argc, char **argv)
         fprintf(stderr, "%s\n", error.message);
         return 1;
     }
-    if (td_rectify(&r, &rig->camera[0].camera, &rig->camera[1].camera, &rig->camera[1].camera_from_rig, 0, &error)) {
+    if (td_rectify(&r, &rig->camera[0].camera, &rig->camera[1].camera, &rig->camera[1].camera_from_rig, 0,
+                   &error)) {
         fprintf(stderr, "%s\n", error.message);
         return 1;
     }
