@@ -25,7 +25,7 @@ cameras:
     camera_from_rig: {q: [1, 0, 0, 0], t_m: [-0.25, 0, 0]}
 RIG
 echo "== CMake package"
-cmake -S "$source/tests/install" -B "$work/cmake" -DCMAKE_PREFIX_PATH="$work/prefix" -DCMAKE_BUILD_TYPE=Release >"$work/cmake.log"
+cmake -G Ninja -S "$source/tests/install" -B "$work/cmake" -DCMAKE_PREFIX_PATH="$work/prefix" -DCMAKE_BUILD_TYPE=Release >"$work/cmake.log"
 cmake --build "$work/cmake" >>"$work/cmake.log"
 "$work/cmake/outside" "$work/rig.yaml" | grep -x 'baseline 0.250000 m'
 echo "== pkg-config"
