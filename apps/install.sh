@@ -2,7 +2,8 @@
 #   . apps/install.sh; td_install "$TD_BUILD_PACKAGES"
 
 TD_BUILD_PACKAGES="gcc g++ cmake ninja-build ccache pkg-config libopencv-dev libvisp-dev libceres-dev liblapacke-dev
-    libopenblas-dev libyaml-dev libjansson-dev libpng-dev libjpeg-dev libssl-dev"
+    libopenblas-dev libyaml-dev libjansson-dev libpng-dev libjpeg-dev libssl-dev libapriltag-dev libopencv-contrib-dev
+    libcairo2-dev libxml2-dev libwebsockets-dev"
 TD_DATA_PACKAGES="opencv-doc visp-images-data"
 
 td_install() {

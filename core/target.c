@@ -26,6 +26,12 @@ const char *td_target_kind_name(td_target_kind kind)
         return "chessboard";
     case TD_TARGET_MARKS:
         return "marks";
+    case TD_TARGET_APRILGRID:
+        return "aprilgrid";
+    case TD_TARGET_TAGS:
+        return "tags";
+    case TD_TARGET_CHARUCO:
+        return "charuco";
     case TD_TARGET_KIND_COUNT:
         break;
     }

@@ -2,7 +2,10 @@
  *
  * Target frame: origin at the first point, x along the columns, y along the rows, z into the board, so that a
  * board facing the camera upright has the camera's axes. Point k is row k / columns, column k % columns of
- * its plane; planes follow one another. */
+ * its plane; planes follow one another. Of a tag, the points are its black square's corners, upper left,
+ * upper right, lower right, lower left as it is read: point 4 t + i is corner i of tag t, an aprilgrid's tags
+ * being counted in rows from the upper left whatever their numbers. A target of single tags has its own
+ * frame. */
 #ifndef TELEDIMOS_CORE_TARGET_H
 #define TELEDIMOS_CORE_TARGET_H
 
@@ -19,26 +22,52 @@ extern "C" {
 typedef enum td_target_kind {
     TD_TARGET_CHESSBOARD, /* the inner corners of a chessboard */
     TD_TARGET_MARKS,      /* circular marks on one or more planes */
+    TD_TARGET_APRILGRID,  /* a grid of tags, four corners each */
+    TD_TARGET_TAGS,       /* single tags at known poses, four corners each */
+    TD_TARGET_CHARUCO,    /* the inner corners of a chessboard with a marker in each light square */
     TD_TARGET_KIND_COUNT
 } td_target_kind;
 
 typedef enum td_mark_polarity { TD_MARK_DARK, TD_MARK_LIGHT, TD_MARK_ANY } td_mark_polarity;
 
-enum { TD_TARGET_MAX_PLANES = 6, TD_TARGET_MAX_SIDE = 200 };
+enum { TD_TARGET_MAX_PLANES = 6, TD_TARGET_MAX_SIDE = 200, TD_TARGET_MAX_TAGS = 64, TD_DICTIONARY_SIZE = 24 };
 
 /* One plane's grid. */
 typedef struct td_target_plane {
-    int columns, rows;         /* points: inner corners, or marks */
-    double spacing_m;          /* between neighbouring points */
+    int columns, rows;         /* inner corners, marks, or (aprilgrid) tags */
+    double spacing_m;          /* between neighbours: corners, marks, or the same corner of two tags */
     td_pose target_from_plane; /* identity for the only plane */
 } td_target_plane;
+
+/* One single tag. Its frame: origin at its centre, x to its right, y down, z into the board. */
+typedef struct td_target_tag {
+    int id;
+    double size_m; /* side of the black square, its border included */
+    td_pose target_from_tag;
+} td_target_tag;
+
+/* In which order an aprilgrid's tags are numbered, from first_id. */
+typedef enum td_tag_order {
+    TD_TAGS_UPWARD,  /* the first row is the lowest, as Kalibr draws its grids */
+    TD_TAGS_DOWNWARD /* the first row is the uppermost */
+} td_tag_order;
 
 typedef struct td_target {
     td_target_kind kind;
     int plane_count;
     td_target_plane plane[TD_TARGET_MAX_PLANES];
-    double diameter_m;         /* marks: of the circle; chessboard: 0 */
+    double diameter_m;         /* marks: of the circle; others: 0 */
     td_mark_polarity polarity; /* marks: dark on light, light on dark, or find out */
+    /* Tags and markers: */
+    char dictionary[TD_DICTIONARY_SIZE]; /* "tag36h11", "aruco4x4_50", … (calib/tag_dictionary.h) */
+    int border;                          /* cells of the black border: 1 libapriltag's, 2 Kalibr's */
+    double tag_size_m;                   /* side of the black square, its border included; tags: 0 */
+    int first_id;                        /* aprilgrid, charuco: number of the first tag */
+    td_tag_order order;                  /* aprilgrid */
+    bool legacy;                         /* charuco: OpenCV before 4.7, whose boards with an even number of
+                                            rows of squares begin with a marker at the upper left */
+    int tag_count;                       /* tags */
+    td_target_tag tag[TD_TARGET_MAX_TAGS];
 } td_target;
 
 TD_API const char *td_target_kind_name(td_target_kind kind); /* "chessboard", "marks"; NULL if none */
