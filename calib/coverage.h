@@ -12,7 +12,7 @@ enum { TD_COVERAGE_COLUMNS = 12, TD_COVERAGE_ROWS = 9, TD_COVERAGE_TILTS = 4 };
 
 typedef struct td_coverage {
     size_t views;                                          /* in which the camera saw the target */
-    size_t points[TD_COVERAGE_ROWS * TD_COVERAGE_COLUMNS]; /* seen points in each cell of the image */
+    size_t points[TD_COVERAGE_ROWS * TD_COVERAGE_COLUMNS]; /* in each cell: seen, and in use if calibrated */
     double image_share;                                    /* of cells with a point, 0 to 1 */
     double nearest_m, farthest_m;                          /* of the boards' centres; NaN without poses */
     double tilt_rad;                                       /* the largest between board and image; NaN */
