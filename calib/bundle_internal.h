@@ -74,4 +74,21 @@ td_status td_bundle_solve(td_bundle *bundle, const td_loss *loss, td_solve_summa
 /* Refines the pose of one view alone, all else held. */
 td_status td_bundle_solve_view(td_bundle *bundle, size_t view, const td_loss *loss, td_error *error);
 
+/* A calibration taken up where it ended: its last problem and that problem's covariance. Must not be moved.
+ */
+typedef struct td_bundle_result {
+    td_observations
+        *observations; /* as the calibration numbered them, the marks' shift taken off the points */
+    td_bundle bundle;
+    td_bundle_problem problem;
+    td_covariance *covariance;
+    size_t board_count; /* poses of boards that were solved for */
+    int *board;         /* (board_count) their blocks */
+} td_bundle_result;
+
+/* `observations` are those that were calibrated. What was held brings the covariance that it was given. */
+td_status td_bundle_result_new(td_bundle_result *result, const td_calibration *calibration,
+                               const td_observations *observations, td_error *error);
+void td_bundle_result_free(td_bundle_result *result);
+
 #endif

@@ -366,6 +366,8 @@ static td_status fill_result(td_calibration *result, td_bundle *bundle, const td
     fill_cameras(result, bundle);
     for (int c = 1; c < bundle->rig->count; c++) fill_pair(&result->pair[result->pair_count++], bundle, c);
     result->has_warp = bundle->use_warp;
+    result->own_sigma = bundle->own_sigma;
+    memcpy(result->hold, bundle->hold, sizeof result->hold);
     memcpy(result->warp_m, bundle->warp, sizeof result->warp_m);
 
     td_rig_free(&result->rig);

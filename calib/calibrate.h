@@ -112,6 +112,8 @@ typedef struct td_calibration {
     td_leave_one_out leave_one_out;
     size_t weak_count;
     td_weak_direction weak[TD_MAX_WEAK];
+    unsigned hold[TD_RIG_MAX_CAMERAS]; /* of camera i, what was held: TD_HOLD_… */
+    bool own_sigma;                    /* each point's own sigma counted beside noise_px (not when plain) */
     bool covariance_known;     /* false: something held has no covariance, sigmas are given its value */
     td_estimate_method method; /* what AUTO chose */
     int iterations;

@@ -20,6 +20,11 @@ double td_robust_noise(const td_bundle *bundle, int camera);
 /* trust.c: the joint covariance, sigmas of everything, weak directions. */
 td_status td_trust_covariance(td_calibration *result, td_bundle *bundle, const td_calibrate_options *options,
                               td_error *error);
+/* What is held of the bundle's cameras and has a covariance in `from` (may be NULL), for
+ * td_problem_covariance: at most 2 TD_RIG_MAX_CAMERAS of them, their matrices in `store`, TD_MAX_BLOCK_SIZE^2
+ * each. *known: nothing that is held lacks a covariance. */
+size_t td_trust_considered(td_consider *out, double *store, bool *known, const td_bundle *bundle,
+                           const td_bundle_blocks *blocks, const td_rig *from);
 /* Significance of the warp: w^T C^-1 w, chi-square with 2 degrees of freedom. */
 td_status td_trust_warp(double *chi2, td_bundle *bundle, td_error *error);
 

@@ -64,8 +64,8 @@ static td_status fill_rig_covariance(td_rig *rig, const td_covariance *covarianc
 
 /* What is held at a known rig's values brings that rig's covariance with it. The whole camera is considered
  * when all of its parameters are held; a rig without covariance leaves it unknown. */
-static size_t gather_considered(td_consider *out, double *store, bool *known, const td_bundle *bundle,
-                                const td_bundle_blocks *blocks, const td_rig *from)
+size_t td_trust_considered(td_consider *out, double *store, bool *known, const td_bundle *bundle,
+                           const td_bundle_blocks *blocks, const td_rig *from)
 {
     size_t n = 0;
     *known = true;
@@ -240,7 +240,7 @@ td_status td_trust_covariance(td_calibration *result, td_bundle *bundle, const t
         return status;
     }
     size_t considered =
-        gather_considered(consider, store, &result->covariance_known, bundle, &bp.blocks, options->known);
+        td_trust_considered(consider, store, &result->covariance_known, bundle, &bp.blocks, options->known);
     status = td_problem_covariance(&covariance, bp.problem, consider, considered, error);
     if (status == TD_OK) {
         size_t count = place_blocks(placed, bundle, &bp.blocks);

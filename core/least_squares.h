@@ -109,6 +109,16 @@ TD_API void td_covariance_free(td_covariance **covariance);
  * directions it is that of the other directions only: ask for them first. */
 TD_API td_status td_covariance_get(double *out, const td_covariance *covariance, int a, int b,
                                    td_error *error);
+/* A part of a linear function of the blocks' tangents: jacobian (rows,t) times that of `block`. */
+typedef struct td_linear_part {
+    int block;
+    const double *jacobian;
+} td_linear_part;
+
+/* Covariance (rows,rows), row-major, of y = sum of the parts, each of another block: G C G^T without writing
+ * out C, in time proportional to the number of local blocks. Held components add nothing. */
+TD_API td_status td_covariance_propagate(double *out, size_t rows, const td_covariance *covariance,
+                                         const td_linear_part *part, size_t count, td_error *error);
 /* Directions in the shared blocks' free components along which the residuals do not change at all, once the
  * local blocks follow (curvature below 1e-13, each parameter scaled to unit curvature with the local blocks
  * held). */

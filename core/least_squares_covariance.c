@@ -349,6 +349,60 @@ td_status td_covariance_get(double *out, const td_covariance *c, int a, int b, t
     return TD_OK;
 }
 
+/* With y = G_s s + sum_v G_v v and v = -N_vv^-1 N_vs s + e_v, cov e_v = N_vv^-1:
+ * y = F s + sum_v G_v e_v, F = G_s - sum_v G_v N_vv^-1 N_vs, so cov y = F C_ss F^T + sum_v G_v N_vv^-1 G_v^T.
+ */
+static void add_part(double *f, double *out, size_t rows, const td_covariance *c, const td_linear_part *part)
+{
+    const td_block *block = &c->block[part->block];
+    const local_part *l = &c->local[part->block];
+    const int *column = c->column[part->block];
+    size_t n = c->n, t = (size_t)block->tangent;
+    for (size_t r = 0; r < rows; r++)
+        for (size_t i = 0; i < t; i++) {
+            double g = part->jacobian[r * t + i];
+            if (column[i] < 0 || g == 0) continue;
+            if (!block->local) {
+                f[r * n + c->offset[part->block] + (size_t)column[i]] += g;
+                continue;
+            }
+            const double *row = l->coupling + (size_t)column[i] * n;
+            for (size_t k = 0; k < n; k++) f[r * n + k] -= g * row[k];
+            for (size_t q = 0; q < rows; q++)
+                for (size_t k = 0; k < t; k++)
+                    if (column[k] >= 0)
+                        out[r * rows + q] +=
+                            g * l->inverse[column[i] * l->size + column[k]] * part->jacobian[q * t + k];
+        }
+}
+
+td_status td_covariance_propagate(double *out, size_t rows, const td_covariance *c,
+                                  const td_linear_part *part, size_t count, td_error *error)
+{
+    double *f = calloc(2 * rows * c->n + rows * rows + 1, sizeof *f);
+    if (!f) return td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance of %zu rows", rows);
+    double *fc = f + rows * c->n, *shared = fc + rows * c->n;
+    td_status status = TD_OK;
+    memset(out, 0, rows * rows * sizeof *out);
+    for (size_t i = 0; i < count && status == TD_OK; i++) {
+        if (part[i].block < 0 || (size_t)part[i].block >= c->block_count)
+            status = td_fail(error, TD_ERROR_ARGUMENT, "covariance: there is no block %d", part[i].block);
+        else
+            add_part(f, out, rows, c, &part[i]);
+    }
+    if (status == TD_OK && c->n) {
+        td_multiply(fc, f, c->shared, rows, c->n, c->n);
+        td_multiply_transposed(shared, fc, f, rows, c->n, rows);
+        for (size_t i = 0; i < rows * rows; i++) out[i] += shared[i];
+    }
+    /* Products of matrices are symmetric only up to rounding. */
+    for (size_t i = 0; i < rows; i++)
+        for (size_t k = 0; k < i; k++)
+            out[i * rows + k] = out[k * rows + i] = (out[i * rows + k] + out[k * rows + i]) / 2;
+    free(f);
+    return status;
+}
+
 size_t td_covariance_null_count(const td_covariance *c)
 {
     return c->null_count;
