@@ -5,7 +5,7 @@
  * its plane; planes follow one another. Of a tag, the points are its black square's corners, upper left,
  * upper right, lower right, lower left as it is read: point 4 t + i is corner i of tag t, an aprilgrid's tags
  * being counted in rows from the upper left whatever their numbers. A target of single tags has its own
- * frame. */
+ * frame, and each tag is a plane of its own. */
 #ifndef TELEDIMOS_CORE_TARGET_H
 #define TELEDIMOS_CORE_TARGET_H
 
@@ -75,12 +75,20 @@ TD_API size_t td_target_point_count(const td_target *target);
 /* Point `index` in the target frame, m; NaN when there is none. */
 TD_API void td_target_point(double p[3], const td_target *target, size_t index);
 /* Which plane point `index` lies on (-1: there is no such point), and the index of that plane's first point
- * (may be NULL). */
+ * (may be NULL). Planes are fewer than the larger of TD_TARGET_MAX_PLANES and TD_TARGET_MAX_TAGS. */
 TD_API int td_target_plane_of(const td_target *target, size_t index, size_t *first);
+/* Pose of plane `plane`, and where point `index` lies on its plane, m; NaN when there is none. */
+TD_API td_pose td_target_plane_pose(const td_target *target, int plane);
+TD_API void td_target_point_on_plane(double xy[2], const td_target *target, size_t index);
+/* Number of the tag that point `index` is a corner of; -1: of none. */
+TD_API int td_target_tag_id(const td_target *target, size_t index);
+/* Number of the markers of a charuco or the tags of an aprilgrid or of single tags; else 0. */
+TD_API int td_target_tag_count(const td_target *target);
 /* True when all points lie on one plane. */
 TD_API bool td_target_is_flat(const td_target *target);
 /* Refuses what cannot be a target, naming the field: sides of 2 (chessboard: 3) to 200, spacing of 0.1 mm to
- * 10 m, marks that overlap, poses that are none. */
+ * 10 m, marks or tags that overlap, poses that are none, two tags of one number. Whether a dictionary exists
+ * and has the tags is calib/tag_dictionary.h's to say. */
 TD_API td_status td_target_check(const td_target *target, td_error *error);
 /* "chessboard 9x6, 25 mm", for people. Writes at most `size` bytes and returns `text`. */
 TD_API char *td_target_describe(char *text, size_t size, const td_target *target);
