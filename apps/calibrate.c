@@ -8,6 +8,7 @@
 #include "apps/calibrate_internal.h"
 #include "apps/cli.h"
 #include "apps/terminal.h"
+#include "apps/wizard.h"
 #include "core/document.h"
 #include "core/file.h"
 #include "core/hash.h"
@@ -15,12 +16,15 @@
 
 static const char *dataset_path;
 static cli_common common;
-static cli_list fixes, gates;
+static cli_list fixes, gates, sources;
+static bool resume;
+static const char *target_words, *live_kind;
 static const char *rig_path, *clicks_path, *method = "auto", *warp = "auto", *model;
-static bool plain, accept, no_leave_one_out;
+static bool plain, accept, no_leave_one_out, no_models;
 
 static const char *const methods[] = {"auto", "homography", "visp", "faugeras-toscani", NULL};
 static const char *const warps[] = {"auto", "on", "off", NULL};
+static const char *const lives[] = {"page", "text", "none", NULL};
 static const char *const models[] = {"pinhole", "brown5", "brown8", "fisheye", NULL};
 
 static cli_option options[] = {
@@ -46,40 +50,73 @@ static cli_option options[] = {
     {CLI_STRING, "clicks", 0, &clicks_path, "FILE",
      "numbering of marks by hand: CSV with image, mark, x_px, y_px, up to nine for an image", 0, 0, NULL},
     {CLI_FLAG, "no-leave-one-out", 0, &no_leave_one_out, NULL, "skip leaving out views in turn", 0, 0, NULL},
+    {CLI_FLAG, "no-models", 0, &no_models, NULL, "skip judging other lens models by views held out", 0, 0,
+     NULL},
     {.type = CLI_HEADING, .name = "The quality gate"},
     {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
     {CLI_FLAG, "accept", 0, &accept, NULL, "write rig.yaml and end with status 0 even when the gate refuses",
      0, 0, NULL},
+    {.type = CLI_HEADING, .name = "The wizard (without DATASET, on a terminal); what is not given is asked"},
+    {CLI_LIST, "source", 0, &sources, "SOURCE",
+     "where pictures come from: a folder that fills (with a pattern of names behind it: 'pictures/left*'), a "
+     "video, a camera as /dev/video0; twice for a pair",
+     0, 0, NULL},
+    {CLI_STRING, "target", 0, &target_words, "WORDS",
+     "\"chessboard 9x6 25mm\", \"marks 7x5 30mm diameter 12mm\", \"aprilgrid 6x6 tag 88mm gap 0.3\", "
+     "\"charuco 7x4 30mm tag 22mm aruco5x5_100\", or a mapping as in dataset.yaml",
+     0, 0, NULL},
+    {CLI_STRING, "live", 0, &live_kind, "HOW",
+     "the live picture: page (in a browser on this machine; default), text (on the terminal; default over "
+     "ssh), "
+     "none",
+     0, 0, lives},
+    {CLI_FLAG, "resume", 0, &resume, NULL, "go on with what was begun in the folder of -o", 0, 0, NULL},
     CLI_COMMON_OPTIONS(common,
-                       "folder for the products: rig.yaml, result.yaml, report.html, points.csv, log.jsonl",
+                       "folder for the products: rig.yaml, result.yaml, report.html, points.csv, "
+                       "uncertainty.csv, log.jsonl",
                        "this job draws none"),
 };
 
 static cli_command command = {
     .name = "calibrate",
     .summary = "calibrate cameras and their relative poses from images of a target",
-    .usage = "DATASET -o DIR [options]",
-    .text = "Finds the target (a chessboard, or circular marks) in every image of DATASET, estimates each "
-            "camera, then "
-            "refines all cameras, views and the board's warp in one least-squares problem. Corners and views "
-            "that do not "
-            "fit are named and left out. Everything gets its standard deviation; views are left out in turn "
-            "to see how far "
-            "the result can be trusted; a quality gate gives the verdict.\n\n"
-            "DATASET is a folder with dataset.yaml and frames.csv:\n\n"
-            "  # dataset.yaml\n"
-            "  name: my-head\n"
-            "  target: {kind: chessboard, columns: 9, rows: 6, spacing_m: 0.025}\n"
-            "  cameras:\n"
-            "    - {name: left, model: brown5}\n"
-            "    - {name: right, model: brown5}\n\n"
-            "  # frames.csv\n"
-            "  frame,left,right\n"
-            "  01,left01.png,right01.png\n\n"
-            "columns and rows count the points: a chessboard's inner corners, or marks (with diameter_m). "
-            "Exit status: 0 "
-            "done, 1 failed, 2 wrong usage, 3 the gate refuses the result (rig.yaml is then not written; "
-            "--accept).",
+    .usage = "[DATASET] -o DIR [options]",
+    .text =
+        "Without DATASET, on a terminal, this is the calibration wizard: it asks for the source of pictures "
+        "and "
+        "the target, looks at pictures as they come, tells which one to take next and when more of them no "
+        "longer "
+        "help, and leaves a dataset and its calibration in DIR. It can be ended at any time and gone on with "
+        "(--resume).\n\n"
+        "With DATASET it finds the target in every image, estimates each camera, then refines all cameras, "
+        "views "
+        "and the board's warp in one least-squares problem. Corners and views that do not fit are named and "
+        "left "
+        "out. Everything gets its standard deviation; a map tells how far projected points can be trusted "
+        "over "
+        "the image, views are left out in turn, other lens models are tried on views held out; a quality "
+        "gate "
+        "gives the verdict.\n\n"
+        "DATASET is a folder with dataset.yaml and frames.csv:\n\n"
+        "  # dataset.yaml\n"
+        "  name: my-head\n"
+        "  target: {kind: chessboard, columns: 9, rows: 6, spacing_m: 0.025}\n"
+        "  cameras:\n"
+        "    - {name: left, model: brown5}\n"
+        "    - {name: right, model: brown5}\n\n"
+        "  # frames.csv\n"
+        "  frame,left,right\n"
+        "  01,left01.png,right01.png\n\n"
+        "columns and rows count the points: a chessboard's inner corners, marks (with diameter_m), or tags. "
+        "Other "
+        "targets:\n\n"
+        "  {kind: marks, columns: 7, rows: 5, spacing_m: 0.03, diameter_m: 0.012}\n"
+        "  {kind: aprilgrid, columns: 6, rows: 6, tag_size_m: 0.088, gap_ratio: 0.3}\n"
+        "  {kind: charuco, columns: 7, rows: 4, spacing_m: 0.03, tag_size_m: 0.022, dictionary: "
+        "aruco5x5_100}\n"
+        "  {kind: tags, dictionary: tag36h11, border: 1, tags: [{id: 3, size_m: 0.1}]}\n\n"
+        "Exit status: 0 done, 1 failed, 2 wrong usage, 3 the gate refuses the result (rig.yaml is then not "
+        "written; --accept).",
     .examples =
         "  teledimos calibrate datasets/opencv-stereo -o out\n"
         "  teledimos calibrate datasets/visp-marks -o marks --json\n"
@@ -184,6 +221,15 @@ static td_status write_rig(const calibrate_job *job, const char *folder, bool wa
     return status;
 }
 
+static td_status write_map(const calibrate_job *job, const char *folder, td_error *error)
+{
+    char *path = td_path_join(folder, "uncertainty.csv");
+    td_status status = path ? calibrate_write_map(job, path, error)
+                            : td_fail(error, TD_ERROR_MEMORY, "no memory for a path");
+    free(path);
+    return status;
+}
+
 /* Products in an order that ends with result.yaml: where it stands, the others do. */
 static td_status write_products(const calibrate_job *job, json_t *result, const char *log, size_t log_size,
                                 td_error *error)
@@ -198,6 +244,7 @@ static td_status write_products(const calibrate_job *job, json_t *result, const 
     td_status status = path && report ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for a path");
     if (status == TD_OK) status = td_observations_write(job->observations, comment, path, error);
     if (status == TD_OK) status = calibrate_report(job, report, error);
+    if (status == TD_OK && job->trust->map) status = write_map(job, folder, error);
     if (status == TD_OK) status = write_rig(job, folder, wanted, error);
     if (status == TD_OK) status = write_text(folder, "log.jsonl", log, log_size, error);
     char *yaml = NULL;
@@ -230,7 +277,7 @@ static td_status print_result(const calibrate_job *job, const json_t *result, td
 static td_status finish(calibrate_job *job, gate_result *gate, const gate_row *rows, terminal *term,
                         char **log, size_t *log_size, td_error *error)
 {
-    calibrate_judge(gate, rows, job->dataset, job->observations, job->calibration);
+    calibrate_judge(gate, rows, job);
     job->gate = gate;
     json_t *result = calibrate_result(job);
     td_status status = td_schema_check(result, calibrate_schema, calibrate_schema_count, error);
@@ -272,6 +319,7 @@ static int run(void)
     td_image_clicks *clicks = NULL;
     td_observations *observations = NULL;
     td_calibration *calibration = NULL;
+    calibrate_trust *trust = calloc(1, sizeof *trust);
     gate_row rows[16];
     gate_result *gate = calloc(1, sizeof *gate);
     memcpy(rows, calibrate_gate_defaults, calibrate_gate_count * sizeof *rows);
@@ -288,7 +336,8 @@ static int run(void)
     o.log = &logger;
     td_observe_options observe = {.threads = common.threads, .progress = &progress, .log = &logger};
 
-    td_status status = gate && term.log_file ? TD_OK : td_fail(&error, TD_ERROR_MEMORY, "out of memory");
+    td_status status =
+        gate && trust && term.log_file ? TD_OK : td_fail(&error, TD_ERROR_MEMORY, "out of memory");
     if (status == TD_OK)
         status = read_inputs(&dataset, &rig, &clicks, &observe.click_count, &o, rows, &error);
     observe.clicks = clicks;
@@ -298,6 +347,8 @@ static int run(void)
     if (status == TD_OK) status = td_calibrate(&calibration, observations, &o, &error);
     calibrate_job job = {
         .dataset = dataset, .observations = observations, .calibration = calibration, .options = &o};
+    if (status == TD_OK) status = calibrate_trust_run(trust, &job, !no_models, &error);
+    job.trust = trust;
     if (status == TD_OK) status = hash_dataset(job.hash, dataset, &error);
     terminal_clear(&term);
     if (status == TD_OK) status = finish(&job, gate, rows, &term, &log, &log_size, &error);
@@ -312,11 +363,38 @@ static int run(void)
     if (term.log_file) fclose(term.log_file);
     free(log);
     free(gate);
+    calibrate_trust_free(trust);
+    free(trust);
     free(clicks);
     td_calibration_free(&calibration);
     td_observations_free(&observations);
     td_rig_free(&rig);
     td_dataset_free(&dataset);
+    return code;
+}
+
+/* A dataset taken by the wizard, then calibrated like any other. */
+static int guide(void)
+{
+    td_error error = {0};
+    char *folder = NULL;
+    terminal term;
+    terminal_init(&term, common.quiet, common.verbose);
+    const wizard_setup setup = {.folder = common.output,
+                                .sources = &sources,
+                                .target = target_words,
+                                .model = model,
+                                .live = live_kind,
+                                .resume = resume,
+                                .threads = common.threads};
+    td_status status = wizard_run(&folder, &setup, &term, &error);
+    if (status != TD_OK) {
+        cli_complain(command.name, "%s", error.message[0] ? error.message : td_status_text(status));
+        return status == TD_ERROR_ARGUMENT ? EXIT_USAGE : EXIT_FAILED;
+    }
+    dataset_path = common.output = folder;
+    int code = run();
+    free(folder);
     return code;
 }
 
@@ -332,12 +410,24 @@ int main(int argc, char **argv)
         free(text);
         return EXIT_DONE;
     }
-    if (!dataset_path || !common.output || !*common.output) {
-        cli_complain(command.name, "%s is missing (usage: teledimos %s %s)",
-                     dataset_path ? "-o DIR" : "DATASET", command.name, command.usage);
+    bool for_wizard = sources.count || target_words || live_kind || resume;
+    if (dataset_path && for_wizard) {
+        cli_complain(command.name,
+                     "--source, --target, --live and --resume are the wizard's: leave out DATASET");
+        return EXIT_USAGE;
+    }
+    if (resume && !common.output) {
+        cli_complain(command.name, "--resume needs the folder that was begun: -o DIR");
+        return EXIT_USAGE;
+    }
+    bool wizard = !dataset_path && isatty(STDIN_FILENO) && isatty(STDERR_FILENO);
+    if (!wizard && (!dataset_path || !common.output || !*common.output)) {
+        cli_complain(command.name, "%s is missing (usage: teledimos %s %s)%s",
+                     dataset_path ? "-o DIR" : "DATASET", command.name, command.usage,
+                     dataset_path ? "" : "; the wizard, which needs none, runs on a terminal");
         return EXIT_USAGE;
     }
     terminal_catch_signals();
     td_linalg_single_thread();
-    return run();
+    return wizard ? guide() : run();
 }

@@ -13,6 +13,9 @@ const gate_row calibrate_gate_defaults[] = {
     {"outlier_share", 0.1, 0.3, "points left out over points seen"},
     {"weak", 0.7, 1.0,
      "severity of the worst weak direction; 1: focal length, centre or baseline known to 2 %"},
+    {"projected_px", 0.5, 1.5,
+     "sigma of a projected point over the images, at the boards' middle distance: what the noise alone "
+     "leaves open"},
     {"baseline_sigmas", 2.0, 3.0, "distance from the expected baseline over tolerance and sigma"},
 };
 const size_t calibrate_gate_count = sizeof calibrate_gate_defaults / sizeof *calibrate_gate_defaults;
@@ -100,9 +103,24 @@ static void judge_blur(gate_result *g, const td_observations *o, const td_calibr
     }
 }
 
-void calibrate_judge(gate_result *g, const gate_row *rows, const td_dataset *dataset,
-                     const td_observations *o, const td_calibration *c)
+static void judge_trust(gate_result *g, const gate_row *rows, const calibrate_trust *t,
+                        const td_calibration *c)
 {
+    const char *missing = "";
+    for (int i = 0; i < c->rig->count && !*missing; i++) missing = t->coverage[i].missing;
+    if (isfinite(t->projected_px))
+        gate_check(g, rows, calibrate_gate_count, "projected_px", t->projected_px,
+                   "a point %.2f m away is projected to %.2f px only; %s", t->middle_distance_m,
+                   t->projected_px, *missing ? missing : "add views");
+    for (int i = 0; i < c->rig->count; i++)
+        if (t->has_choice[i] && t->choice[i].best != t->choice[i].present)
+            gate_add(g, VERDICT_ACCEPTED, "%s", t->choice[i].text);
+}
+
+void calibrate_judge(gate_result *g, const gate_row *rows, const calibrate_job *job)
+{
+    const td_observations *o = job->observations;
+    const td_calibration *c = job->calibration;
     *g = (gate_result){.verdict = VERDICT_ACCEPTED};
     for (size_t i = 0; i < c->weak_count; i++)
         gate_check(g, rows, calibrate_gate_count, "weak", c->weak[i].severity, "%s", c->weak[i].text);
@@ -116,7 +134,8 @@ void calibrate_judge(gate_result *g, const gate_row *rows, const td_dataset *dat
                    "views left out fit %.2f px RMS against %.2f px when used: the result leans on single "
                    "views; add more",
                    c->leave_one_out.rms_px, c->rms_px);
-    judge_baseline(g, rows, dataset, c);
+    judge_baseline(g, rows, job->dataset, c);
+    judge_trust(g, rows, job->trust, c);
     judge_views(g, o, c);
     judge_blur(g, o, c);
     if (!c->covariance_known)

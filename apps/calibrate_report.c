@@ -41,6 +41,11 @@ void calibrate_table(const calibrate_job *job)
                    100 * l->scale_error_rms, 1e3 * l->flatness_m);
         putchar('\n');
     }
+    const calibrate_trust *t = job->trust;
+    if (isfinite(t->projected_px))
+        printf(
+            "a point %.2f m away is projected with a standard deviation of %.3f px (median over the image)\n",
+            t->middle_distance_m, t->projected_px);
     if (c->has_warp)
         printf("board: bulges by %+.3f ± %.3f mm along its rows, %+.3f ± %.3f mm along its columns\n",
                1e3 * c->warp_m[0], 1e3 * c->sigma_warp_m[0], 1e3 * c->warp_m[1], 1e3 * c->sigma_warp_m[1]);
@@ -283,6 +288,114 @@ static void rms_plot(td_report *r, const calibrate_job *job)
     free(x);
 }
 
+/* ---- Trust ---- */
+
+static void uncertainty_plot(td_report *r, const calibrate_job *job, int c, int distance)
+{
+    const td_uncertainty_map *map = job->trust->map;
+    const td_rig_camera *camera = &job->calibration->rig->camera[c];
+    char title[TD_NAME_SIZE + 96], label[48];
+    /* Corners that no board reached would leave one colour to all the rest. */
+    double most, median = calibrate_map_median(map, c, distance, &most), high = fmin(most, 6 * median);
+    snprintf(title, sizeof title, "%s at %.2f m: median %.3f px, at most %.1f px", camera->name,
+             map->distance_m[distance], median, most);
+    snprintf(label, sizeof label, most > high ? "sigma (px), %.2g and more" : "sigma (px)", high);
+    const td_heat heat = {.columns = map->columns,
+                          .rows = map->rows,
+                          .value =
+                              map->sigma_px + ((size_t)c * (size_t)map->distance_count + (size_t)distance) *
+                                                  (size_t)(map->columns * map->rows),
+                          .high = high,
+                          .label = label};
+    const td_axes axes = {.title = title,
+                          .x_label = "x (px)",
+                          .y_label = "y (px)",
+                          .x_max = camera->camera.width - 1,
+                          .y_max = camera->camera.height - 1,
+                          .equal = 1,
+                          .y_down = 1,
+                          .heat = &heat};
+    td_report_plot(r, &axes, NULL, 0);
+}
+
+static void coverage_table(td_report *r, const calibrate_job *job)
+{
+    static const char *const heads[] = {"camera",
+                                        "views",
+                                        "image covered",
+                                        "distances (m)",
+                                        "largest tilt",
+                                        "right / left away",
+                                        "lower / upper away"};
+    const td_rig *rig = job->calibration->rig;
+    td_report_table_begin(r, heads, sizeof heads / sizeof *heads);
+    for (int c = 0; c < rig->count; c++) {
+        const td_coverage *k = &job->trust->coverage[c];
+        td_report_cell(r, TD_TONE_PLAIN, "%s", rig->camera[c].name);
+        td_report_cell(r, TD_TONE_PLAIN, "%zu", k->views);
+        td_report_cell(r, k->image_share < 0.5 ? TD_TONE_WARN : TD_TONE_PLAIN, "%.0f %%",
+                       100 * k->image_share);
+        td_report_cell(r, TD_TONE_PLAIN, "%.2f to %.2f", k->nearest_m, k->farthest_m);
+        td_report_cell(r, TD_TONE_PLAIN, "%.0f°", k->tilt_rad * DEGREES);
+        for (int i = 0; i < TD_COVERAGE_TILTS; i += 2)
+            td_report_cell(r, k->tilted[i] && k->tilted[i + 1] ? TD_TONE_PLAIN : TD_TONE_WARN, "%zu / %zu",
+                           k->tilted[i], k->tilted[i + 1]);
+        td_report_row_end(r);
+    }
+    td_report_table_end(r);
+    for (int c = 0; c < rig->count; c++)
+        if (*job->trust->coverage[c].missing) td_report_text(r, "%s.", job->trust->coverage[c].missing);
+}
+
+static void model_table(td_report *r, const calibrate_job *job)
+{
+    const calibrate_trust *t = job->trust;
+    const td_rig *rig = job->calibration->rig;
+    const char *heads[1 + TD_RIG_MAX_CAMERAS] = {"RMS of held-out views (px)"};
+    int camera[TD_RIG_MAX_CAMERAS];
+    size_t n = 0;
+    for (int c = 0; c < rig->count; c++)
+        if (t->has_choice[c]) {
+            camera[n] = c;
+            heads[++n] = rig->camera[c].name;
+        }
+    if (!n) return;
+    td_report_heading(r, "Lens models");
+    td_report_table_begin(r, heads, n + 1);
+    for (int m = 0; m < TD_CAMERA_MODEL_COUNT; m++) {
+        td_report_cell(r, TD_TONE_PLAIN, "%s", td_camera_model_name((td_camera_model)m));
+        for (size_t i = 0; i < n; i++) {
+            const td_model_choice *k = &t->choice[camera[i]];
+            td_report_cell(r, (int)k->best == m ? TD_TONE_GOOD : TD_TONE_PLAIN,
+                           k->score[m].failed ? "–" : "%.4f", k->score[m].held_out_px);
+        }
+        td_report_row_end(r);
+    }
+    td_report_table_end(r);
+    for (size_t i = 0; i < n; i++) td_report_text(r, "%s.", t->choice[camera[i]].text);
+}
+
+static void trust(td_report *r, const calibrate_job *job)
+{
+    const td_uncertainty_map *map = job->trust->map;
+    td_report_heading(r, "What the views cover");
+    coverage_table(r, job);
+    if (map) {
+        td_report_heading(r, "How far a projected point can be trusted");
+        td_report_text(
+            r, "Standard deviation of where a point is seen, in the worst direction, from the noise of the "
+               "points found: a point as far away as the boards were, and one ten times as far. Where it "
+               "is large, add views there. What the lens model cannot follow is not in it.");
+        td_report_grid_begin(r, 2);
+        for (int c = 0; c < map->camera_count; c++) {
+            uncertainty_plot(r, job, c, map->distance_count > 2 ? 1 : 0);
+            if (map->distance_count > 1) uncertainty_plot(r, job, c, map->distance_count - 1);
+        }
+        td_report_grid_end(r);
+    }
+    model_table(r, job);
+}
+
 static void pictures(td_report *r, const calibrate_job *job)
 {
     enum { MOST = 60 };
@@ -348,6 +461,8 @@ static void figures(td_report *r, const calibrate_job *job)
             td_report_figure(r, "scale error of views left out", TD_TONE_PLAIN, "%+.3f %%",
                              100 * c->leave_one_out.scale_error);
     }
+    if (isfinite(job->trust->projected_px))
+        td_report_figure(r, "sigma of a projected point", TD_TONE_PLAIN, "%.2f px", job->trust->projected_px);
     td_report_figures_end(r);
 }
 
@@ -374,6 +489,7 @@ td_status calibrate_report(const calibrate_job *job, const char *path, td_error 
     td_report_heading(r, "Residuals");
     residual_plots(r, job);
     rms_plot(r, job);
+    trust(r, job);
     td_report_heading(r, "Views");
     view_table(r, job);
     pictures(r, job);

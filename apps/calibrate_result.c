@@ -45,6 +45,34 @@ const td_schema_row calibrate_schema[] = {
     {"cameras.*.camera_from_rig.t_m", TD_SCHEMA_REALS, true, false, "translation, m"},
     {"cameras.*.perspective_matrix", TD_SCHEMA_MATRIX, true, false,
      "P = K [R t] of undistorted pixels, from the rig's frame"},
+    {"cameras.*.coverage", TD_SCHEMA_OBJECT, true, false, "what its views cover"},
+    {"cameras.*.coverage.image_share", TD_SCHEMA_REAL, true, false,
+     "of 12x9 cells of the image that hold points"},
+    {"cameras.*.coverage.nearest_m", TD_SCHEMA_REAL, true, true, "distance of the nearest board's centre"},
+    {"cameras.*.coverage.farthest_m", TD_SCHEMA_REAL, true, true, "distance of the farthest board's centre"},
+    {"cameras.*.coverage.tilt_deg", TD_SCHEMA_REAL, true, true, "the largest between board and image"},
+    {"cameras.*.coverage.tilted", TD_SCHEMA_OBJECT, true, false,
+     "views with one side of the board farther away than the other by 15 degrees or more"},
+    {"cameras.*.coverage.tilted.right", TD_SCHEMA_INT, true, false, "its right side"},
+    {"cameras.*.coverage.tilted.left", TD_SCHEMA_INT, true, false, "its left side"},
+    {"cameras.*.coverage.tilted.lower", TD_SCHEMA_INT, true, false, "its lower side"},
+    {"cameras.*.coverage.tilted.upper", TD_SCHEMA_INT, true, false, "its upper side"},
+    {"cameras.*.coverage.missing", TD_SCHEMA_STRING, true, false, "what to add; empty: nothing"},
+    {"cameras.*.models", TD_SCHEMA_OBJECT, false, false, "lens models, judged by views held out"},
+    {"cameras.*.models.best", TD_SCHEMA_STRING, true, false, "the simplest that predicts as well as any"},
+    {"cameras.*.models.text", TD_SCHEMA_STRING, true, false, "in words"},
+    {"cameras.*.models.held_out_px", TD_SCHEMA_OBJECT, true, false, "RMS of views held out, by model"},
+    {"cameras.*.models.held_out_px.*", TD_SCHEMA_REAL, true, true, "null: it cannot be fitted"},
+    {"projected_uncertainty", TD_SCHEMA_OBJECT, false, false,
+     "standard deviation of projected points, the worst direction; uncertainty.csv has the map"},
+    {"projected_uncertainty.distances_m", TD_SCHEMA_REALS, true, false,
+     "of the points: the nearest board, the middle, the farthest, ten times that"},
+    {"projected_uncertainty.cameras", TD_SCHEMA_OBJECT, true, false, "by name"},
+    {"projected_uncertainty.cameras.*", TD_SCHEMA_OBJECT, true, false, "a camera"},
+    {"projected_uncertainty.cameras.*.median_px", TD_SCHEMA_REALS, true, true,
+     "over its image, at each distance"},
+    {"projected_uncertainty.cameras.*.largest_px", TD_SCHEMA_REALS, true, true,
+     "in its image, at each distance"},
     {"stereo", TD_SCHEMA_OBJECT, false, false, "the second camera relative to the first"},
     {"pairs", TD_SCHEMA_OBJECT, false, false,
      "each camera relative to the first, by name; more than two cameras"},
@@ -142,6 +170,49 @@ static json_t *sigmas_json(const double *sigma, size_t count, double factor)
     return td_json_reals(scaled, count);
 }
 
+static json_t *coverage_json(const td_coverage *k)
+{
+    static const char *const sides[TD_COVERAGE_TILTS] = {"right", "left", "lower", "upper"};
+    json_t *o = json_object(), *tilted = json_object();
+    for (int i = 0; i < TD_COVERAGE_TILTS; i++) set(tilted, sides[i], json_integer((json_int_t)k->tilted[i]));
+    set(o, "image_share", td_json_real(k->image_share));
+    set(o, "nearest_m", td_json_real(k->nearest_m));
+    set(o, "farthest_m", td_json_real(k->farthest_m));
+    set(o, "tilt_deg", td_json_real(k->tilt_rad * DEGREES));
+    set(o, "tilted", tilted);
+    set(o, "missing", json_string(k->missing));
+    return o;
+}
+
+static json_t *models_json(const td_model_choice *choice)
+{
+    json_t *o = json_object(), *held_out = json_object();
+    for (int i = 0; i < TD_CAMERA_MODEL_COUNT; i++)
+        set(held_out, td_camera_model_name(choice->score[i].model),
+            td_json_real(choice->score[i].failed ? NAN : choice->score[i].held_out_px));
+    set(o, "best", json_string(td_camera_model_name(choice->best)));
+    set(o, "text", json_string(choice->text));
+    set(o, "held_out_px", held_out);
+    return o;
+}
+
+static json_t *uncertainty_json(const calibrate_job *job)
+{
+    const td_uncertainty_map *map = job->trust->map;
+    json_t *o = json_object(), *cameras = json_object();
+    set(o, "distances_m", td_json_reals(map->distance_m, (size_t)map->distance_count));
+    for (int c = 0; c < map->camera_count; c++) {
+        json_t *k = json_object();
+        double median[TD_CAMERA_MAX_PARAMETERS], most[TD_CAMERA_MAX_PARAMETERS];
+        for (int d = 0; d < map->distance_count; d++) median[d] = calibrate_map_median(map, c, d, &most[d]);
+        set(k, "median_px", sigmas_json(median, (size_t)map->distance_count, 1));
+        set(k, "largest_px", sigmas_json(most, (size_t)map->distance_count, 1));
+        set(cameras, job->calibration->rig->camera[c].name, k);
+    }
+    set(o, "cameras", cameras);
+    return o;
+}
+
 static json_t *camera_json(const calibrate_job *job, int index)
 {
     const td_rig_camera *rc = &job->calibration->rig->camera[index];
@@ -164,6 +235,8 @@ static json_t *camera_json(const calibrate_job *job, int index)
     set(o, "distortion", td_json_reals(rc->camera.parameter + 4, count - 4));
     set(o, "sigma_intrinsics", sigmas_json(cc->sigma, 4, 1));
     set(o, "sigma_distortion", sigmas_json(cc->sigma + 4, count - 4, 1));
+    set(o, "coverage", coverage_json(&job->trust->coverage[index]));
+    if (job->trust->has_choice[index]) set(o, "models", models_json(&job->trust->choice[index]));
     set(o, "camera_from_rig", pose_json(&rc->camera_from_rig));
     double p[12];
     td_perspective_matrix(p, &rc->camera, &rc->camera_from_rig);
@@ -328,6 +401,7 @@ json_t *calibrate_result(const calibrate_job *job)
     set(loo, "scale_error_rms", done ? td_json_real(c->leave_one_out.scale_error_rms) : json_null());
     set(loo, "flatness_m", done ? td_json_real(c->leave_one_out.flatness_m) : json_null());
     set(root, "leave_one_out", loo);
+    if (job->trust->map) set(root, "projected_uncertainty", uncertainty_json(job));
     set(root, "outlier_views", view_names(job, TD_VIEW_OUTLIER));
     set(root, "corrected_views", view_names(job, TD_VIEW_CORRECTED));
     set(root, "outlier_points", outlier_points_json(job));
@@ -336,13 +410,12 @@ json_t *calibrate_result(const calibrate_job *job)
     set(root, "sigma_conditional", json_boolean(!c->covariance_known));
     for (size_t v = 0; v < c->view_count; v++) set(views, job->observations->view_name[v], view_json(job, v));
     set(root, "views", views);
-    static const char *const product[][2] = {{"rig", "rig.yaml"},
-                                             {"result", "result.yaml"},
-                                             {"report", "report.html"},
-                                             {"points", "points.csv"},
-                                             {"log", "log.jsonl"}};
+    static const char *const product[][2] = {
+        {"rig", "rig.yaml"},      {"result", "result.yaml"},          {"report", "report.html"},
+        {"points", "points.csv"}, {"uncertainty", "uncertainty.csv"}, {"log", "log.jsonl"}};
     for (size_t i = 0; i < sizeof product / sizeof *product; i++)
-        set(products, product[i][0], json_string(product[i][1]));
+        if (job->trust->map || strcmp(product[i][0], "uncertainty") != 0)
+            set(products, product[i][0], json_string(product[i][1]));
     set(root, "products", products);
     return root;
 }

@@ -195,7 +195,7 @@ static void run_fold(size_t index, void *user)
     m->fold[fold] = td_bundle_copy(&b, &m->bundle, NULL);
     if (m->fold[fold] != TD_OK) return;
     td_solve_options solve = td_solve_options_default();
-    solve.function_tolerance = 1e-9;
+    solve.function_tolerance = 1e-6;
     for (size_t i = fold; i < work->view_count; i += work->folds) td_bundle_drop(&b, work->view[i], 0);
     m->fold[fold] = td_bundle_solve(&b, NULL, NULL, &solve, NULL);
     for (size_t i = fold; i < work->view_count && m->fold[fold] == TD_OK; i += work->folds)

@@ -15,6 +15,7 @@ typedef struct td_next_view_options {
     double enough_px;             /* projected uncertainty that is wished for; 0: no wish */
     double gain_that_counts;      /* a share by which a view must reduce it; default 0.03 */
     double noise_px;              /* before the first calibration; default 0.2 */
+    int skip;                     /* better suggestions passed over: the next that differs in place or tilt */
 } td_next_view_options;
 
 TD_API td_next_view_options td_next_view_options_default(void);

@@ -59,6 +59,14 @@ typedef struct td_series {
     double vector_scale;   /* by which dx, dy are drawn longer (the legend says "×50"); 0: 1 */
 } td_series;
 
+/* A field under the series, in colour, its scale beside it. It fills the axes' range, which must be given. */
+typedef struct td_heat {
+    int columns, rows;   /* values stand evenly from edge to edge; at least 2 of each */
+    const double *value; /* (rows,columns), the first row at y_min; not finite: left grey */
+    double low, high;    /* where the colours begin and end; low = high: from the values */
+    const char *label;   /* with the unit: "sigma (px)" */
+} td_heat;
+
 typedef struct td_axes {
     const char *title, *x_label, *y_label;
     double x_min, x_max, y_min, y_max; /* min = max: from the data */
@@ -66,6 +74,7 @@ typedef struct td_axes {
     int y_down;                        /* as in images */
     const char *const *x_names;        /* names at x = 0, 1, …; NULL: numbers */
     size_t x_name_count;
+    const td_heat *heat; /* NULL: none */
 } td_axes;
 
 /* A plot as SVG; `axes` NULL: all from the data. Labels hold the unit: "time (s)". */

@@ -94,4 +94,14 @@ void td_series_describe(td_text *m, const td_series *series, size_t count);
 /* What a reader must know of values that are not drawn. */
 void td_series_note(td_text *m, const td_drawn *drawn);
 
+/* --- fields (report_heat.c) --- */
+
+/* What the colours span: as asked for, or from the values; low < high. */
+void td_heat_range(double *low, double *high, const td_heat *heat);
+/* The field as an image of SVG in the box left, top, width, height; the first row at the top, or at the
+ * bottom with `y_up`. Keeps a failure in the report. */
+void td_heat_draw(td_report *report, const td_heat *heat, const double box[4], bool y_up);
+/* A strip of the colours, the highest at the top. */
+void td_heat_scale(td_report *report, const double box[4]);
+
 #endif

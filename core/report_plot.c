@@ -9,7 +9,7 @@
 
 #include "core/report_internal.h"
 
-enum { NAME_CHARACTERS = 20, LABEL_TRIES = 4 };
+enum { NAME_CHARACTERS = 20, LABEL_TRIES = 4, SCALE_WIDTH = 14 };
 
 /* Room for marks on the edge of the axes, px. */
 static const double spill = 3;
@@ -48,6 +48,8 @@ typedef struct layout {
     double y_label; /* px: where the y axis' label stands */
     double bar_gap; /* between bars, in x; 0: there are none */
     bool empty;     /* nothing can be drawn */
+    axis heat;      /* of the scale beside a field; length 0: there is none */
+    double heat_x;  /* px: where the scale stands */
 } layout;
 
 /* --- ranges --- */
@@ -251,6 +253,19 @@ static double place_names(layout *l)
     return longest + 0.8 * l->format->line + 6;
 }
 
+/* The scale beside a field; returns the room that it takes. Its labels' width does not depend on its height
+ * by more than a character, so any will do here. */
+static double plan_heat(layout *l, const td_axes *axes, double height)
+{
+    if (!axes->heat) return 0;
+    const plot_format *f = l->format;
+    td_heat_range(&l->heat.min, &l->heat.max, axes->heat);
+    l->heat.length = height;
+    plan_ticks(&l->heat, 1.9 * f->line);
+    double label = axes->heat->label || l->heat.factor ? f->line + 4 : 0;
+    return 2 * SCALE_WIDTH + (double)(longest_label(&l->heat) + 1) * f->glyph + label;
+}
+
 static void plan_layout(layout *l, const td_axes *axes, const td_series *series, size_t count,
                         const plot_format *f)
 {
@@ -273,7 +288,8 @@ static void plan_layout(layout *l, const td_axes *axes, const td_series *series,
     l->y.length = axes->equal ? f->tall : f->height;
     plan_ticks(&l->y, 1.9 * f->line);
     l->left = left_margin(l, axes);
-    l->width = f->width - l->left - right;
+    double scale_room = plan_heat(l, axes, l->y.length);
+    l->width = f->width - l->left - right - scale_room;
     if (axes->equal) {
         double scale = fmin(l->width / (l->x.max - l->x.min), f->tall / (l->y.max - l->y.min));
         l->width = scale * (l->x.max - l->x.min);
@@ -287,7 +303,9 @@ static void plan_layout(layout *l, const td_axes *axes, const td_series *series,
     else
         plan_numbers(&l->x, f);
     l->y_label = l->left - label;
-    l->total_width = l->left + l->width + right;
+    l->heat_x = l->left + l->width + SCALE_WIDTH;
+    if (axes->heat) plan_heat(l, axes, l->height);
+    l->total_width = l->left + l->width + right + scale_room;
     l->total_height = l->top + l->height + below + (axes->x_label || l->x.factor ? f->line : 0) + 2;
 }
 
@@ -417,6 +435,31 @@ static void add_axis_labels(td_text *m, const layout *l, const td_axes *axes)
     }
 }
 
+/* The field over the grid and under the series, and its scale. */
+static void add_heat(td_report *report, const layout *l, const td_axes *axes)
+{
+    td_text *m = &report->body;
+    char text[48];
+    const plot_format *f = l->format;
+    td_heat_draw(report, axes->heat, (double[]){l->left, l->top, l->width, l->height}, !axes->y_down);
+    td_heat_scale(report, (double[]){l->heat_x, l->top, SCALE_WIDTH, l->height});
+    td_markup_raw(m, "<g class=\"start\">");
+    for (long long k = l->heat.first; k <= l->heat.last; k++) {
+        tick_label(text, &l->heat, k);
+        begin_text(m, l->heat_x + SCALE_WIDTH + 5, l->top + at(&l->heat, tick_value(&l->heat, k), true),
+                   " dy=\".35em\"");
+        td_markup_raw(m, text);
+        td_markup_raw(m, "</text>");
+    }
+    td_markup_raw(m, "</g>\n");
+    if (!axes->heat->label && !l->heat.factor) return;
+    td_markup_raw(m, "<text class=\"mid name\" transform=\"translate(");
+    td_markup_point(m, 0, (double[]){l->total_width - 0.5 * f->line, l->top + l->height / 2});
+    td_markup_raw(m, ") rotate(-90)\">");
+    add_axis_label(m, axes->heat->label, l->heat.factor, l->height + 40, f);
+    td_markup_raw(m, "</text>\n");
+}
+
 static void add_data(td_text *m, td_drawn *drawn, const layout *l, bool y_up, const td_series *series,
                      size_t count)
 {
@@ -445,7 +488,7 @@ static void add_data(td_text *m, td_drawn *drawn, const layout *l, bool y_up, co
     td_markup_raw(m, "\">\n");
     td_series_draw(m, drawn, &view, series, count);
     td_markup_raw(m, "</svg>\n");
-    if (!l->empty) return;
+    if (!l->empty || l->heat.length > 0) return;
     begin_text(m, l->left + l->width / 2, l->top + l->height / 2, " class=\"mid\"");
     td_markup_raw(m, "no data</text>\n");
 }
@@ -496,6 +539,12 @@ void td_report_plot(td_report *report, const td_axes *axes, const td_series *ser
     if (!td_series_check(report, "a plot", series, count)) return;
     const td_axes none = {0};
     if (!axes) axes = &none;
+    const td_heat *heat = axes->heat;
+    if (heat && (heat->columns < 2 || heat->rows < 2 || !heat->value || !is_range(axes->x_min, axes->x_max) ||
+                 !is_range(axes->y_min, axes->y_max))) {
+        td_report_fail(report, TD_ERROR_ARGUMENT, "a plot: a field needs 2x2 values and the axes' range");
+        return;
+    }
     bool y_up = !axes->y_down;
     const plot_format *f = formats + (report->grid_columns > 2 ? 2 : report->grid_columns - 1);
     layout l;
@@ -505,6 +554,7 @@ void td_report_plot(td_report *report, const td_axes *axes, const td_series *ser
     td_drawn drawn = {0};
     begin_figure(m, &l, axes, series, count);
     add_grid(m, &l, y_up);
+    if (axes->heat) add_heat(report, &l, axes);
     add_number_labels(m, &l, y_up);
     add_names(m, &l);
     add_axis_labels(m, &l, axes);

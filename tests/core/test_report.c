@@ -838,6 +838,46 @@ static uint8_t *decode_base64(const char *text, size_t *size)
 
 /* The embedded image is the image, shrunk as asked, and spans the same. Ramps of known value at each place
  * tell a shift of a pixel; JPEG changes a smooth ramp by a few levels. */
+/* A field: its picture and its scale stand in the file, the colours' range is the caller's or the values'; a
+ * field without a range of axes, or of one row, is refused. */
+static void test_heat(void **state)
+{
+    const double value[6] = {0.1, 0.2, NAN, 0.4, 0.5, 0.6};
+    td_heat heat = {.columns = 3, .rows = 2, .value = value, .label = "sigma (px)"};
+    td_axes axes = {.x_max = 639, .y_max = 479, .equal = 1, .y_down = 1, .heat = &heat};
+    td_report *r = td_report_new("Heat", NULL);
+    td_report_plot(r, &axes, NULL, 0);
+    char *text = finish(&r, *state);
+    check_well_formed(text);
+    const char *first = strstr(text, "<image preserveAspectRatio"),
+               *second = first ? strstr(first + 1, "<image") : NULL;
+    assert_non_null(second);
+    assert_non_null(strstr(second, "sigma (px)"));
+    assert_null(strstr(text, "no data"));
+    assert_non_null(strstr(second, ">0.5<")); /* a tick of the values' own range */
+    assert_null(strstr(second, ">5<"));
+    free(text);
+    heat.high = 10;
+    r = td_report_new("Heat", NULL);
+    td_report_plot(r, &axes, NULL, 0);
+    text = finish(&r, *state);
+    second = strstr(strstr(text, "<image") + 1, "<image");
+    assert_non_null(strstr(second, ">5<"));
+    free(text);
+    for (int i = 0; i < 2; i++) {
+        td_error error;
+        td_axes bad = axes;
+        td_heat flat = heat;
+        bad.heat = &flat;
+        if (i == 0) bad.x_max = 0;
+        if (i == 1) flat.rows = 1;
+        r = td_report_new("Heat", NULL);
+        td_report_plot(r, &bad, NULL, 0);
+        check_fails(td_report_write(r, "/nowhere/report.html", &error), TD_ERROR_ARGUMENT, error, "2x2");
+        td_report_free(&r);
+    }
+}
+
 static void test_picture(void **state)
 {
     enum { WIDTH = 333, HEIGHT = 201, SMALL = 100 };
@@ -1044,6 +1084,7 @@ int main(void)
         TEST(test_bars),
         TEST(test_names),
         TEST(test_many_values),
+        TEST(test_heat),
         TEST(test_picture),
         TEST(test_embedding),
         TEST(test_first_failure_is_kept),
