@@ -12,6 +12,7 @@ static const struct {
 } commands[] = {
     {"calibrate", "calibrate cameras and their relative poses from images of a target"},
     {"rectify", "turn stereo pairs so that rows match rows"},
+    {"convert", "turn a rig into the files of another tool, or those into a rig"},
 };
 enum { COMMAND_COUNT = sizeof commands / sizeof *commands };
 
