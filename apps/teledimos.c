@@ -12,6 +12,7 @@ static const struct {
 } commands[] = {
     {"calibrate", "calibrate cameras and their relative poses from images of a target"},
     {"rectify", "turn stereo pairs so that rows match rows"},
+    {"target", "print a calibration target at true scale"},
 };
 enum { COMMAND_COUNT = sizeof commands / sizeof *commands };
 
