@@ -13,6 +13,7 @@ static const struct {
     {"calibrate", "calibrate cameras and their relative poses from images of a target"},
     {"rectify", "turn stereo pairs so that rows match rows"},
     {"convert", "turn a rig into the files of another tool, or those into a rig"},
+    {"target", "print a calibration target at true scale"},
 };
 enum { COMMAND_COUNT = sizeof commands / sizeof *commands };
 
