@@ -11,6 +11,7 @@ static const struct {
     const char *name, *summary;
 } commands[] = {
     {"calibrate", "calibrate cameras and their relative poses from images of a target"},
+    {"capture", "take images from cameras, videos or folders into a dataset"},
     {"rectify", "turn stereo pairs so that rows match rows"},
     {"convert", "turn a rig into the files of another tool, or those into a rig"},
     {"target", "print a calibration target at true scale"},

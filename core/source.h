@@ -53,7 +53,8 @@ TD_API double td_source_period_s(const td_source *source);
  * still fill), or *ended: no more will (a video's end). A file that is still being written is waited for; one
  * that stays unreadable (no change for 2 s) is an error that names it, once, and then skipped: call again. A
  * camera that stalls may hold the call for 10 s. Pictures that waited in a camera's queue since before the
- * call are left out. */
+ * call are left out. After an error call again: what cannot go on (a camera that was unplugged, a folder that
+ * is gone) has ended then. */
 TD_API td_status td_source_next(td_frame *frame, bool *got, bool *ended, td_source *source, double wait_s,
                                 td_error *error);
 

@@ -162,7 +162,11 @@ static td_status folder_grab(bool *got, bool *ended, double *time_s, void *state
     *got = *ended = false;
     td_image_free(&f->image);
     for (;;) {
-        if (f->next == f->count) TD_TRY(look(f, error));
+        if (f->next == f->count) {
+            td_status status = look(f, error);
+            *ended = status != TD_OK;
+            TD_TRY(status);
+        }
         const size_t before = f->next;
         if (f->next < f->count) TD_TRY(try_head(got, time_s, f, error));
         if (*got) return TD_OK;

@@ -72,12 +72,12 @@ static td_status video_grab(bool *got, bool *ended, double *time_s, void *state,
         if (!v->camera || *time_s > asked_s - STALE_S) return TD_OK;
     }
     if (*got) return TD_OK;
+    *ended = true;
     if (v->camera)
         return td_fail(error, TD_ERROR_IO, "%s: the camera gives no more pictures; is it still plugged in?",
                        v->path);
     if (v->grabbed == 0)
         return td_fail(error, TD_ERROR_FORMAT, "%s: the video has no picture that can be read", v->path);
-    *ended = true;
     return TD_OK;
 }
 
