@@ -14,8 +14,10 @@ for target in $targets; do
     seeds=tests/fuzz/seeds/${target#fuzz_}
     mkdir -p "$corpus"
     [ -d "$seeds" ] || seeds=
+    dictionary=tests/fuzz/$target.dict
+    [ -f "$dictionary" ] && dictionary=-dict=$dictionary || dictionary=
     ASAN_OPTIONS=allocator_may_return_null=1 "build/fuzz/tests/$target" -max_total_time="$seconds" -max_len=65536 -timeout=10 \
-        -rss_limit_mb=2048 -artifact_prefix="build/fuzz/$target-" -verbosity=0 -print_final_stats=1 "$corpus" $seeds \
+        -rss_limit_mb=2048 -artifact_prefix="build/fuzz/$target-" -verbosity=0 -print_final_stats=1 $dictionary "$corpus" $seeds \
         >"build/fuzz/$target.log" 2>&1 || { tail -40 "build/fuzz/$target.log"; echo "FAILED: $target"; exit 1; }
     echo "$target: $(sed -n 's/^stat::number_of_executed_units: *//p' "build/fuzz/$target.log") inputs in $seconds s, no finding"
 done
