@@ -5,45 +5,52 @@
 
 #include "calib/charuco_internal.h"
 #include "calib/homography.h"
-#include "calib/tag_dictionary.h"
+#include "calib/tags.h"
 
 static const double NEAR = 3.2;            /* squares between markers that are compared */
 static const double TOLERANCE = 0.25;      /* error of a predicted centre over its distance */
 static const double LARGEST_IMAGE = 1.5e6; /* px, in which other dictionaries are looked for */
 enum { ENOUGH = 4 };                       /* markers that make a suspicion */
 
-/* OpenCV's numbers of the dictionaries. */
+/* OpenCV's numbers of the dictionaries; -1: not by OpenCV. Small tags are in any image: too short of bits to
+ * be looked for. */
 static const struct {
     const char *name;
     int number;
     const char *whole; /* of the same markers the largest dictionary; NULL: this is it */
 } known[] = {
-    {"aruco4x4_50", 0, "aruco4x4_1000"},
-    {"aruco4x4_100", 1, "aruco4x4_1000"},
-    {"aruco4x4_250", 2, "aruco4x4_1000"},
-    {"aruco4x4_1000", 3, NULL},
-    {"aruco5x5_50", 4, "aruco5x5_1000"},
-    {"aruco5x5_100", 5, "aruco5x5_1000"},
-    {"aruco5x5_250", 6, "aruco5x5_1000"},
-    {"aruco5x5_1000", 7, NULL},
-    {"aruco6x6_50", 8, "aruco6x6_1000"},
-    {"aruco6x6_100", 9, "aruco6x6_1000"},
-    {"aruco6x6_250", 10, "aruco6x6_1000"},
-    {"aruco6x6_1000", 11, NULL},
-    {"aruco7x7_50", 12, "aruco7x7_1000"},
-    {"aruco7x7_100", 13, "aruco7x7_1000"},
-    {"aruco7x7_250", 14, "aruco7x7_1000"},
-    {"aruco7x7_1000", 15, NULL},
-    {"aruco_original", 16, NULL},
-    {"tag16h5", 17, NULL},
-    {"tag25h9", 18, NULL},
-    {"tag36h11", 20, NULL},
+    {"aruco4x4_50", 0, "aruco4x4_1000"},   {"aruco4x4_100", 1, "aruco4x4_1000"},
+    {"aruco4x4_250", 2, "aruco4x4_1000"},  {"aruco4x4_1000", 3, NULL},
+    {"aruco5x5_50", 4, "aruco5x5_1000"},   {"aruco5x5_100", 5, "aruco5x5_1000"},
+    {"aruco5x5_250", 6, "aruco5x5_1000"},  {"aruco5x5_1000", 7, NULL},
+    {"aruco6x6_50", 8, "aruco6x6_1000"},   {"aruco6x6_100", 9, "aruco6x6_1000"},
+    {"aruco6x6_250", 10, "aruco6x6_1000"}, {"aruco6x6_1000", 11, NULL},
+    {"aruco7x7_50", 12, "aruco7x7_1000"},  {"aruco7x7_100", 13, "aruco7x7_1000"},
+    {"aruco7x7_250", 14, "aruco7x7_1000"}, {"aruco7x7_1000", 15, NULL},
+    {"aruco_original", 16, NULL},          {"tag36h11", -1, NULL},
 };
 enum { KNOWN = sizeof known / sizeof *known };
+
+static td_status from_tags(td_marker **markers, size_t *count, const td_image *image, const char *dictionary,
+                           int border, td_error *error)
+{
+    td_tag *tag = NULL;
+    *markers = NULL;
+    TD_TRY(td_tags_find(&tag, count, image, dictionary, border, error));
+    *markers = calloc(*count + 1, sizeof **markers);
+    for (size_t i = 0; *markers && i < *count; i++) {
+        (*markers)[i].id = tag[i].id;
+        memcpy((*markers)[i].corner, tag[i].corner, sizeof tag[i].corner);
+    }
+    free(tag);
+    return *markers ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for %zu markers", *count);
+}
 
 td_status td_markers_find(td_marker **markers, size_t *count, const td_image *image, const char *dictionary,
                           int border, td_error *error)
 {
+    if (strncmp(dictionary, "tag", 3) == 0)
+        return from_tags(markers, count, image, dictionary, border, error);
     for (int i = 0; i < KNOWN; i++)
         if (strcmp(known[i].name, dictionary) == 0)
             return td_markers_by_opencv(markers, count, image, known[i].number, border, error);
@@ -242,7 +249,7 @@ static td_status seek_other(char *text, size_t size, const td_image *image, cons
         td_marker *marker = NULL;
         size_t count = 0;
         if (known[i].whole) continue;
-        TD_TRY(td_markers_by_opencv(&marker, &count, image, known[i].number, target->border, error));
+        TD_TRY(td_markers_find(&marker, &count, image, known[i].name, target->border, error));
         int high = 0;
         for (size_t k = 0; k < count; k++)
             if (marker[k].id > high) high = marker[k].id;

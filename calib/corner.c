@@ -1,9 +1,11 @@
-/* Fits the image of a chessboard's corner by least squares over the pixels of a disc:
+/* Fits the image of a corner by least squares over the pixels of a disc: where four squares of a chessboard
+ * meet,
  *
  *     grey(x) = mean + slope . x - (contrast / 2) S(d1 / w, d2 / w),
  *
  * d1, d2 the distances to two lines through the corner, w the blur of their edges, and S the product of the
  * signs of d1 and d2, blurred: E(d1 / w) E(d2 / w) with E(t) = erf(t / sqrt 2), and a term for oblique lines.
+ * Of a lone corner one quadrant is dark, and (E(d1 / w) + E(d2 / w) + S - 1) / 2 stands in the place of S.
  * Levenberg-Marquardt with analytic derivatives. What the model leaves out (overshoot from sharpening, a
  * curved response) is the same on both sides of the corner, and so cannot move it.
  *
@@ -38,7 +40,10 @@ static const double LEAST_BLUR = 0.29;  /* px: that of a pixel itself, 1 / sqrt 
 static const double MOST_RESIDUAL = 0.25, MOST_TURN = 0.3, MOST_SIGMA = 0.5; /* of the contrast; sine; px */
 static const float OBLIQUE_REACH = 4.5f;                                     /* in blurs */
 static const double LEAST_CONTRAST = 4;                                      /* grey levels */
-static const double FIRST_STEP = 0.1, LAST_STEP = 0.01;                      /* at which a fit ends, px */
+static const double MARGIN = 2.5;                       /* from what is not in the model, in blurs */
+static const double SIDE_SHARE = 0.6;                   /* of a tag's side */
+static const double LEAST_SLACK = 2.5;                  /* px */
+static const double FIRST_STEP = 0.1, LAST_STEP = 0.01; /* at which a fit ends, px */
 
 /* exp(-y) for y >= 0, not less than exp(-16), as the 32nd power of a short series: no branch, no table,
  * vector code. */
@@ -65,8 +70,8 @@ typedef struct lines {
     float x, y, c1, s1, c2, s2, blur, mean, half, slope_x, slope_y;
 } lines;
 
-/* Edges as if they crossed at right angles: the product of two. */
-static void crossed_edges(corner_window *window, lines m)
+/* Edges as if they crossed at right angles: the product of two, or the one quadrant. */
+static inline void crossed_edges(corner_window *window, lines m, bool wedge)
 {
     const float to_z = 0.70710678f / m.blur;           /* 1 / (w sqrt 2) */
     const float steep = 0.79788456f / m.blur * m.half; /* half sqrt(2 / pi) / w */
@@ -75,15 +80,17 @@ static void crossed_edges(corner_window *window, lines m)
         float x = window->x[i] - m.x, y = window->y[i] - m.y;
         float d1 = m.c1 * y - m.s1 * x, d2 = m.c2 * y - m.s2 * x; /* across the lines */
         float bell_1, bell_2, e1 = edge(d1 * to_z, &bell_1), e2 = edge(d2 * to_z, &bell_2);
-        float by_d1 = steep * bell_1 * e2, by_d2 = steep * bell_2 * e1;
+        float by_e1 = wedge ? 0.5f * (1 + e2) : e2, by_e2 = wedge ? 0.5f * (1 + e1) : e1;
+        float by_half = wedge ? 0.5f * (e1 + e2 + e1 * e2 - 1) : e1 * e2;
+        float by_d1 = steep * bell_1 * by_e1, by_d2 = steep * bell_2 * by_e2;
         window->residual[i] = window->grey[i] - (m.mean + m.slope_x * window->x[i] +
-                                                 m.slope_y * window->y[i] + m.half * e1 * e2);
+                                                 m.slope_y * window->y[i] + m.half * by_half);
         d[CORNER_X][i] = by_d1 * m.s1 + by_d2 * m.s2;
         d[CORNER_Y][i] = -(by_d1 * m.c1 + by_d2 * m.c2);
         d[CORNER_ANGLE_1][i] = -by_d1 * (m.c1 * x + m.s1 * y);
         d[CORNER_ANGLE_2][i] = -by_d2 * (m.c2 * x + m.s2 * y);
         d[CORNER_BLUR][i] = -(by_d1 * d1 + by_d2 * d2) / m.blur;
-        d[CORNER_HALF][i] = e1 * e2;
+        d[CORNER_HALF][i] = by_half;
     }
 }
 
@@ -94,8 +101,8 @@ static void oblique_edges(corner_window *window, lines m, int first, int last)
 {
     const float to_z = 0.70710678f / m.blur, r = m.c1 * m.c2 + m.s1 * m.s2,
                 r_by_angle_2 = m.s1 * m.c2 - m.c1 * m.s2;
-    const float t = r / 2, sharp = 1 / (1 - t * t),
-                density = 0.63661977f * sqrtf(sharp); /* 4 / (2 pi) sqrt … */
+    const float t = r / 2, sharp = 1 / (1 - t * t), share = window->wedge ? 0.5f : 1,
+                density = share * 0.63661977f * sqrtf(sharp); /* 4 / (2 pi) sqrt … */
     float(*d)[CORNER_MAX_PIXELS] = window->derivative;
     for (int i = first; i < last; i++) {
         float x = window->x[i] - m.x, y = window->y[i] - m.y;
@@ -129,7 +136,10 @@ void td_corner_model(corner_window *window, const double parameter[N])
                      .half = (float)parameter[CORNER_HALF],
                      .slope_x = (float)parameter[CORNER_SLOPE_X],
                      .slope_y = (float)parameter[CORNER_SLOPE_Y]};
-    crossed_edges(window, m);
+    if (window->wedge)
+        crossed_edges(window, m, true);
+    else
+        crossed_edges(window, m, false);
     const float reach = OBLIQUE_REACH * m.blur;
     int first = 0, last = window->count;
     while (first < last && window->y[first] < m.y - reach) first++;
@@ -153,19 +163,40 @@ static double dot(const float *a, const float *b, int count)
     return (double)sum[0];
 }
 
-/* The pixels of the disc about `centre` (image, px), which must lie inside the image. */
-static void gather(corner_window *window, const td_image *image, const double centre[2], double radius)
+/* Whether a pixel at (x, y) from a tag's corner is far enough from all that is not in the model. */
+static bool in_shape(const tag_shape *s, double x, double y, double margin)
 {
+    const double *a = s->along[0], *b = s->along[1], cross = a[0] * b[1] - a[1] * b[0];
+    const double u = (x * b[1] - y * b[0]) / cross, v = (a[0] * y - a[1] * x) / cross;           /* cells */
+    const double height[2] = {fabs(cross) / hypot(b[0], b[1]), fabs(cross) / hypot(a[0], a[1])}; /* px */
+    const double coordinate[2] = {u, v};
+    bool in_code = true;
+    for (int i = 0; i < 2; i++) {
+        double inside = s->inside - fmin(margin / height[i], 0.5 * s->inside);
+        double outside = s->outside - fmin(margin / height[i], 0.5 * s->outside);
+        in_code = in_code && coordinate[i] > inside;
+        if (coordinate[i] < -outside || coordinate[i] > s->side - inside) return false;
+    }
+    return !in_code;
+}
+
+/* The pixels of the disc about `centre` (image, px), which must lie inside the image; of a tag's corner
+ * (`shape`, else NULL) those that its model explains. */
+static void gather(corner_window *window, const td_image *image, const double centre[2], double radius,
+                   const tag_shape *shape, double blur)
+{
+    const double margin = MARGIN * blur;
     int cx = (int)lround(centre[0]), cy = (int)lround(centre[1]), reach = (int)radius + 1, count = 0;
     for (int y = cy - reach; y <= cy + reach; y++) {
         double dy = y - centre[1], square = radius * radius - dy * dy;
         if (square < 0) continue;
         const uint8_t *row = image->data + (size_t)y * (size_t)image->width;
         int first = (int)ceil(centre[0] - sqrt(square)), last = (int)floor(centre[0] + sqrt(square));
-        for (int x = first; x <= last; x++, count++) {
+        for (int x = first; x <= last; x++) {
+            if (shape && !in_shape(shape, x - centre[0], dy, margin)) continue;
             window->x[count] = (float)(x - cx);
             window->y[count] = (float)(y - cy);
-            window->grey[count] = row[x];
+            window->grey[count++] = row[x];
         }
     }
     window->origin[0] = cx, window->origin[1] = cy, window->count = count;
@@ -380,18 +411,26 @@ static bool explains(const fit *f, const corner_window *window)
     return contrast > LEAST_CONTRAST && residual_of(f, window) < MOST_RESIDUAL * contrast;
 }
 
+/* Where a corner is looked for. */
+typedef struct place {
+    const double *start;
+    double first, limit;    /* radius of the first window, of any, px */
+    double slack;           /* how far from `start` it may lie, px */
+    const tag_shape *shape; /* NULL: of a chessboard */
+} place;
+
 /* Fits in a small window, then in one as large as the squares, the blur and the image allow, until the window
- * sits on the corner. False when it does not come to rest near `start`. */
-static bool settle(fit *f, corner_window *window, const td_image *image, const double start[2],
-                   double next_edge)
+ * sits on the corner. False when it does not come to rest near the start. */
+static bool settle(fit *f, corner_window *window, const td_image *image, const place *p)
 {
-    double at[2] = {start[0], start[1]}, limit = fmin(SQUARE_SHARE * next_edge, CORNER_MAX_RADIUS);
-    double radius = fmin(fmax(FIRST_RADIUS, FIRST_SHARE * next_edge), MOST_FIRST_RADIUS);
+    double at[2] = {p->start[0], p->start[1]}, radius = p->first;
+    window->wedge = p->shape && p->shape->wedge;
     for (int pass = 0; pass < 5; pass++) {
         double border = fmin(fmin(at[0], image->width - 1 - at[0]), fmin(at[1], image->height - 1 - at[1]));
-        radius = fmin(radius, fmin(limit, border));
+        radius = fmin(radius, fmin(p->limit, border));
         if (!(radius >= LEAST_RADIUS)) return false;
-        gather(window, image, at, radius);
+        gather(window, image, at, radius, p->shape, f->parameter[CORNER_BLUR]);
+        if (window->count <= 2 * N) return false;
         f->parameter[CORNER_X] = at[0] - window->origin[0];
         f->parameter[CORNER_Y] = at[1] - window->origin[1];
         if (pass == 0) first_greys(f, window);
@@ -400,26 +439,20 @@ static bool settle(fit *f, corner_window *window, const td_image *image, const d
                          window->origin[1] + f->parameter[CORNER_Y]};
         double moved = hypot(now[0] - at[0], now[1] - at[1]);
         at[0] = now[0], at[1] = now[1];
-        if (!(hypot(at[0] - start[0], at[1] - start[1]) < next_edge / 2)) return false;
-        double wanted = fmin(limit, fmax(USUAL_RADIUS, 4 * f->parameter[CORNER_BLUR]));
+        if (!(hypot(at[0] - p->start[0], at[1] - p->start[1]) < p->slack)) return false;
+        double wanted = fmin(p->limit, fmax(USUAL_RADIUS, 4 * f->parameter[CORNER_BLUR]));
         if (pass > 0 && moved < 0.5 && radius > 0.9 * fmin(wanted, border)) return true;
         radius = wanted;
     }
     return false;
 }
 
-bool td_corner_refine(td_corner *corner, const td_image *image, const double start[2],
-                      const double along_column[2], const double along_row[2])
+static bool refine(td_corner *corner, const td_image *image, const double angle[2], const place *p)
 {
-    double cross = along_column[0] * along_row[1] - along_column[1] * along_row[0];
-    double longer = fmax(hypot(along_column[0], along_column[1]), hypot(along_row[0], along_row[1]));
-    if (image->channels != 1 || !isfinite(start[0]) || !isfinite(start[1]) || !isfinite(longer)) return false;
-
-    double angle[2] = {atan2(along_column[1], along_column[0]), atan2(along_row[1], along_row[0])};
     fit f = {.parameter = {[CORNER_ANGLE_1] = angle[0], [CORNER_ANGLE_2] = angle[1], [CORNER_BLUR] = 1}};
     corner_window window;
     double white, blocked;
-    if (!settle(&f, &window, image, start, fabs(cross) / longer)) return false;
+    if (!settle(&f, &window, image, p)) return false;
     if (!variances(&white, &blocked, &f, &window)) return false;
     *corner = (td_corner){
         .position = {window.origin[0] + f.parameter[CORNER_X], window.origin[1] + f.parameter[CORNER_Y]},
@@ -431,4 +464,37 @@ bool td_corner_refine(td_corner *corner, const td_image *image, const double sta
     return fabs(sin(f.parameter[CORNER_ANGLE_1] - angle[0])) < MOST_TURN &&
            fabs(sin(f.parameter[CORNER_ANGLE_2] - angle[1])) < MOST_TURN && corner->sigma < MOST_SIGMA &&
            corner->white < MOST_SIGMA;
+}
+
+bool td_corner_refine(td_corner *corner, const td_image *image, const double start[2],
+                      const double along_column[2], const double along_row[2])
+{
+    double cross = along_column[0] * along_row[1] - along_column[1] * along_row[0];
+    double longer = fmax(hypot(along_column[0], along_column[1]), hypot(along_row[0], along_row[1]));
+    if (image->channels != 1 || !isfinite(start[0]) || !isfinite(start[1]) || !isfinite(longer)) return false;
+
+    const double angle[2] = {atan2(along_column[1], along_column[0]), atan2(along_row[1], along_row[0])};
+    const double next_edge = fabs(cross) / longer;
+    const place p = {.start = start,
+                     .first = fmin(fmax(FIRST_RADIUS, FIRST_SHARE * next_edge), MOST_FIRST_RADIUS),
+                     .limit = fmin(SQUARE_SHARE * next_edge, CORNER_MAX_RADIUS),
+                     .slack = next_edge / 2};
+    return refine(corner, image, angle, &p);
+}
+
+bool td_corner_refine_tag(td_corner *corner, const td_image *image, const double start[2],
+                          const tag_shape *shape)
+{
+    const double *a = shape->along[0], *b = shape->along[1], cross = a[0] * b[1] - a[1] * b[0];
+    const double cell = fabs(cross) / fmax(hypot(a[0], a[1]), hypot(b[0], b[1])); /* px */
+    if (image->channels != 1 || !isfinite(start[0]) || !isfinite(start[1]) || !(cell > 0)) return false;
+    /* The tag lies where d1 > 0 and d2 > 0, so that the quadrant of a lone corner is the dark one. */
+    const double way = cross > 0 ? 1 : -1;
+    const double angle[2] = {atan2(way * a[1], way * a[0]), atan2(-way * b[1], -way * b[0])};
+    const place p = {.start = start,
+                     .first = FIRST_RADIUS,
+                     .limit = fmin(SIDE_SHARE * shape->side * cell, CORNER_MAX_RADIUS),
+                     .slack = fmax(LEAST_SLACK, cell),
+                     .shape = shape};
+    return refine(corner, image, angle, &p) && corner->contrast > 0;
 }

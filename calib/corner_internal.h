@@ -2,6 +2,8 @@
 #ifndef TELEDIMOS_CALIB_CORNER_INTERNAL_H
 #define TELEDIMOS_CALIB_CORNER_INTERNAL_H
 
+#include "corner.h"
+
 /* x, y of the corner relative to the window's origin, px; directions of the two lines, rad; blur, px; mean
  * grey; half the contrast; slope of the light across the window, grey levels per px. */
 enum {
@@ -25,6 +27,7 @@ enum { CORNER_MAX_RADIUS = 20, CORNER_MAX_PIXELS = 1360 };
 typedef struct corner_window {
     int origin[2]; /* a pixel near the corner, px */
     int count;
+    bool wedge; /* one quadrant is dark; else two, opposite one another */
     float x[CORNER_MAX_PIXELS], y[CORNER_MAX_PIXELS]; /* relative to the origin, px */
     float grey[CORNER_MAX_PIXELS];
     float residual[CORNER_MAX_PIXELS];                      /* grey minus model */
@@ -33,5 +36,19 @@ typedef struct corner_window {
 
 /* Fills residual and derivative of every pixel of the window. */
 void td_corner_model(corner_window *window, const double parameter[CORNER_PARAMETERS]);
+
+/* What surrounds a corner of a tag. */
+typedef struct tag_shape {
+    bool wedge;         /* the corner is alone; else a dark square touches it from outside */
+    double along[2][2]; /* px: a cell's length from the corner along both sides of the tag */
+    double side;        /* cells of the tag's side */
+    double inside;      /* cells from the corner to the code: the border */
+    double outside;     /* cells from the corner to the next thing outside */
+} tag_shape;
+
+/* Refines a tag's corner, known to within a cell or 2.5 px, by the pixels that show its two edges and nothing
+ * else. False as for td_corner_refine. */
+bool td_corner_refine_tag(td_corner *corner, const td_image *image, const double start[2],
+                          const tag_shape *shape);
 
 #endif

@@ -6,6 +6,7 @@
 #include "calib/charuco.h"
 #include "calib/chessboard.h"
 #include "calib/marks.h"
+#include "calib/tags.h"
 
 td_status td_detection_init(td_detection *detection, size_t count, td_error *error)
 {
@@ -38,6 +39,7 @@ td_status td_detect(td_detection *detection, const td_image *image, const td_tar
         return td_charuco_detect(detection, image, target, error);
     case TD_TARGET_APRILGRID:
     case TD_TARGET_TAGS:
+        return td_tags_detect(detection, image, target, error);
     case TD_TARGET_KIND_COUNT:
         break;
     }

@@ -1,5 +1,6 @@
 #include "calib/tag_dictionary.h"
 
+#include <stdlib.h>
 #include <string.h>
 
 #include <apriltag/tag16h5.h>
@@ -62,39 +63,72 @@ const char *td_tag_dictionary_name(int index)
 
 /* A family's bits stand in any order; where each is, counted from the black square's upper left, it says
  * itself. Its border is 1. */
-static bool family_bits(uint8_t *bit, const dictionary *d, int id)
+static bool family_codes(tag_codes *codes, const dictionary *d)
 {
     apriltag_family_t *family = d->create();
     if (!family) return false;
-    for (uint32_t i = 0; i < family->nbits; i++)
-        bit[((int)family->bit_y[i] - 1) * d->bits + (int)family->bit_x[i] - 1] =
-            (family->codes[id] >> (family->nbits - 1 - i)) & 1;
+    const int last = d->bits * d->bits - 1;
+    for (int id = 0; id < d->count; id++)
+        for (uint32_t i = 0; i < family->nbits; i++) {
+            int at = ((int)family->bit_y[i] - 1) * d->bits + (int)family->bit_x[i] - 1;
+            codes->code[id] |= (family->codes[id] >> (family->nbits - 1 - i) & 1) << (last - at);
+        }
     d->destroy(family);
     return true;
+}
+
+static bool aruco_codes(tag_codes *codes, const dictionary *d)
+{
+    uint8_t bit[MOST_BITS * MOST_BITS];
+    for (int id = 0; id < d->count; id++) {
+        if (!td_aruco_bits(bit, d->bits, d->number, id)) return false;
+        for (int i = 0; i < d->bits * d->bits; i++) codes->code[id] = codes->code[id] << 1 | (bit[i] != 0);
+    }
+    return true;
+}
+
+static td_status no_dictionary(const char *name, td_error *error)
+{
+    char shown[TD_SHOWN_SIZE];
+    return td_fail(error, TD_ERROR_ARGUMENT,
+                   "dictionary: there is no '%s'; there are tag36h11, tag25h9, tag16h5, aruco4x4_50 to "
+                   "aruco7x7_1000 and aruco_original",
+                   td_text_shown(shown, name));
+}
+
+td_status td_tag_codes(tag_codes *codes, const char *name, td_error *error)
+{
+    const dictionary *d = find(name);
+    if (!d) return no_dictionary(name, error);
+    *codes = (tag_codes){d->count, d->bits, calloc((size_t)d->count, sizeof *codes->code)};
+    if (codes->code && (d->create ? family_codes(codes, d) : aruco_codes(codes, d))) return TD_OK;
+    free(codes->code);
+    *codes = (tag_codes){0};
+    return td_fail(error, TD_ERROR_MEMORY, "no memory for the dictionary %s", d->name);
+}
+
+void td_tag_code_cells(uint8_t *cell, uint64_t code, int bits, int border)
+{
+    const int side = bits + 2 * border, last = bits * bits - 1;
+    memset(cell, 0, (size_t)(side * side));
+    for (int i = 0; i <= last; i++)
+        cell[(i / bits + border) * side + i % bits + border] = (uint8_t)(code >> (last - i) & 1);
 }
 
 td_status td_tag_cells(uint8_t cell[TD_TAG_MAX_CELLS * TD_TAG_MAX_CELLS], int *side, const char *name,
                        int border, int id, td_error *error)
 {
     const dictionary *d = find(name);
-    char shown[TD_SHOWN_SIZE];
-    if (!d)
-        return td_fail(error, TD_ERROR_ARGUMENT,
-                       "dictionary: there is no '%s'; there are tag36h11, tag25h9, tag16h5, aruco4x4_50 to "
-                       "aruco7x7_1000 and aruco_original",
-                       td_text_shown(shown, name));
+    tag_codes codes;
+    if (!d) return no_dictionary(name, error);
     if (border < 1 || border > MOST_BORDER)
         return td_fail(error, TD_ERROR_ARGUMENT, "border: is %d cells, but must be 1 or 2", border);
     if (id < 0 || id >= d->count)
         return td_fail(error, TD_ERROR_ARGUMENT, "id: is %d, but %s has the tags 0 to %d", id, d->name,
                        d->count - 1);
-    uint8_t bit[MOST_BITS * MOST_BITS] = {0};
-    bool read = d->create ? family_bits(bit, d, id) : td_aruco_bits(bit, d->bits, d->number, id);
-    if (!read) return td_fail(error, TD_ERROR_MEMORY, "no memory for the dictionary %s", d->name);
+    TD_TRY(td_tag_codes(&codes, name, error));
     *side = d->bits + 2 * border;
-    memset(cell, 0, (size_t)(*side * *side));
-    for (int y = 0; y < d->bits; y++)
-        for (int x = 0; x < d->bits; x++)
-            cell[(y + border) * *side + x + border] = bit[y * d->bits + x] ? 1 : 0;
+    td_tag_code_cells(cell, codes.code[id], d->bits, border);
+    free(codes.code);
     return TD_OK;
 }
