@@ -3,6 +3,7 @@
 #include <math.h>
 #include <stdlib.h>
 
+#include "calib/charuco.h"
 #include "calib/chessboard.h"
 #include "calib/marks.h"
 #include "calib/tags.h"
@@ -34,10 +35,11 @@ td_status td_detect(td_detection *detection, const td_image *image, const td_tar
         return td_chessboard_detect(detection, image, target, error);
     case TD_TARGET_MARKS:
         return td_marks_detect(detection, image, target, NULL, 0, error);
+    case TD_TARGET_CHARUCO:
+        return td_charuco_detect(detection, image, target, error);
     case TD_TARGET_APRILGRID:
     case TD_TARGET_TAGS:
         return td_tags_detect(detection, image, target, error);
-    case TD_TARGET_CHARUCO:
     case TD_TARGET_KIND_COUNT:
         break;
     }

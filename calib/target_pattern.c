@@ -1,6 +1,7 @@
 /* The shapes of each kind of target. */
 #include <math.h>
 
+#include "calib/charuco_internal.h"
 #include "calib/tag_dictionary.h"
 #include "calib/target_sheet_internal.h"
 
@@ -13,14 +14,12 @@ static void rectangle(td_sheet *sheet, int group, double x, double y, double wid
     td_sheet_add(sheet, (td_shape){TD_SHAPE_RECTANGLE, false, group, x, y, width, height});
 }
 
-/* Whether the square in column i and row j of the squares is dark. The one at the upper left is, which is
- * what numbers a chessboard's corners (chessboard.h); a charuco of the old kind may be the other way round.
- */
+/* Whether the square in column i and row j of the squares is dark. The one at the upper left of a chessboard
+ * is, which numbers its corners (chessboard.h). */
 static bool square_is_dark(const td_target *target, int i, int j)
 {
-    const int squares_down = target->plane[0].rows + 1;
-    const bool other = target->kind == TD_TARGET_CHARUCO && target->legacy && squares_down % 2 == 0;
-    return ((i + j) % 2 == 0) != other;
+    const td_charuco_layout layout = td_charuco_layout_of(target);
+    return td_charuco_square_is_dark(&layout, i, j);
 }
 
 static void draw_squares(td_sheet *sheet, const td_target *target)

@@ -40,6 +40,9 @@ double bench_time(bench_function function, void *user, int runs);
  * be NULL). Negative when it cannot be run or fails. */
 double bench_command(const char *const *argv, int runs, double *peak_mb);
 
+/* bench_charuco.c */
+void bench_charuco(const bench *b);
+
 /* bench_calibrate.c */
 void bench_calibrate(const bench *b);
 
