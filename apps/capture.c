@@ -1,5 +1,6 @@
 /* teledimos capture: images from cameras, videos or folders into a dataset, with a live picture. */
 #include <math.h>
+#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -96,9 +97,9 @@ static cli_command command = {
         "the times "
         "of a pair's images; dropped are moments of the wished rate for which no image came.",
     .examples =
-        "  teledimos capture '/usr/share/doc/opencv-doc/examples/data/left*.jpg' -o taken --idle 0.5\n"
-        "  teledimos capture '/usr/share/doc/opencv-doc/examples/data/left*.jpg' "
-        "'/usr/share/doc/opencv-doc/examples/data/right*.jpg' -o pairs --idle 0.5 --target 'chessboard 9x6 "
+        "  teledimos capture '/usr/share/doc/opencv-doc/examples/data/left??.jpg' -o taken --idle 0.5\n"
+        "  teledimos capture '/usr/share/doc/opencv-doc/examples/data/left??.jpg' "
+        "'/usr/share/doc/opencv-doc/examples/data/right??.jpg' -o pairs --idle 0.5 --target 'chessboard 9x6 "
         "25mm'\n",
     .option = options,
     .option_count = sizeof options / sizeof *options,
@@ -252,30 +253,42 @@ static void status_line(char line[LINE_SIZE], const job *j)
     if (t->dropped) snprintf(line + used, LINE_SIZE - used, " · %zu dropped", t->dropped);
 }
 
+/* Adds a line to the facts. */
+static void fact(char facts[FACTS_SIZE], const char *text, ...) TD_PRINTF(2, 3);
+static void fact(char facts[FACTS_SIZE], const char *text, ...)
+{
+    const size_t used = strlen(facts);
+    va_list arguments;
+    va_start(arguments, text);
+    vsnprintf(facts + used, FACTS_SIZE - used, text, arguments);
+    va_end(arguments);
+}
+
 static void page_facts(char facts[FACTS_SIZE], const job *j)
 {
     const capture_tally *t = &j->tally;
-    size_t used = (size_t)snprintf(facts, FACTS_SIZE, "Stored: %zu\n", t->stored);
-    if (j->dataset.found + j->dataset.adopted)
-        used += (size_t)snprintf(facts + used, FACTS_SIZE - used, "In the dataset: %zu\n",
-                                 j->dataset.found + j->dataset.adopted + t->stored);
-    for (int i = 0; i < j->count && t->seen; i++) {
-        const capture_measure *m = &t->camera[i].last;
-        const char *of = j->count == 1 ? "" : j->dataset.name[i], *comma = j->count == 1 ? "" : ", ";
-        used +=
-            (size_t)snprintf(facts + used, FACTS_SIZE - used,
-                             "Focus%s%s: %.1f · best %.1f\nBrightness%s%s: %.0f %%\nAt white%s%s: %.1f %%\n",
-                             comma, of, m->focus, j->best_focus[i], comma, of, 100 * m->brightness_share,
-                             comma, of, 100 * m->saturated_share);
+    const capture_camera *c = t->camera;
+    const bool two = j->count == 2;
+    const size_t before = j->dataset.found + j->dataset.adopted;
+    facts[0] = 0;
+    fact(facts, "Stored: %zu\n", t->stored);
+    if (before) fact(facts, "In the dataset: %zu\n", before + t->stored);
+    if (t->seen) {
+        if (two) fact(facts, ": %s\t%s\n", j->dataset.name[0], j->dataset.name[1]);
+        fact(facts, two ? "Focus: %.1f\t%.1f\n" : "Focus: %.1f\n", c[0].last.focus, c[1].last.focus);
+        fact(facts, two ? "Best so far: %.1f\t%.1f\n" : "Best so far: %.1f\n", j->best_focus[0],
+             j->best_focus[1]);
+        fact(facts, two ? "Brightness: %.0f %%\t%.0f %%\n" : "Brightness: %.0f %%\n",
+             100 * c[0].last.brightness_share, 100 * c[1].last.brightness_share);
+        fact(facts, two ? "At white: %.1f %%\t%.1f %%\n" : "At white: %.1f %%\n",
+             100 * c[0].last.saturated_share, 100 * c[1].last.saturated_share);
     }
-    if (isfinite(capture_rate(t)))
-        used += (size_t)snprintf(facts + used, FACTS_SIZE - used, "Rate: %.1f a second\n", capture_rate(t));
+    if (isfinite(capture_rate(t))) fact(facts, "Rate: %.1f a second\n", capture_rate(t));
     if (t->skews)
-        used +=
-            (size_t)snprintf(facts + used, FACTS_SIZE - used, "Skew, mean: %.1f ms\nSkew, largest: %.1f ms\n",
-                             1e3 * t->skew_sum_s / (double)t->skews, 1e3 * t->skew_largest_s);
-    if (t->dropped) used += (size_t)snprintf(facts + used, FACTS_SIZE - used, "Dropped: %zu\n", t->dropped);
-    if (t->unreadable) snprintf(facts + used, FACTS_SIZE - used, "Unreadable: %zu\n", t->unreadable);
+        fact(facts, "Skew, mean: %.1f ms\nSkew, largest: %.1f ms\n", 1e3 * t->skew_sum_s / (double)t->skews,
+             1e3 * t->skew_largest_s);
+    if (t->dropped) fact(facts, "Dropped: %zu\n", t->dropped);
+    if (t->unreadable) fact(facts, "Unreadable: %zu\n", t->unreadable);
 }
 
 static const char *headline(const job *j)
@@ -366,6 +379,19 @@ static void complain(job *j, const td_error *error)
     if (!common.quiet) fprintf(stderr, "warning: %s\n", error->message);
 }
 
+/* A calibration needs images of one size for each camera. */
+static td_status check_sizes(const job *j, const td_frame *frame, td_error *error)
+{
+    for (int i = 0; i < j->count && j->tally.seen; i++) {
+        const capture_camera *c = &j->tally.camera[i];
+        if (frame[i].image->width != c->width || frame[i].image->height != c->height)
+            return td_fail(error, TD_ERROR_DATA,
+                           "%s: %s is %dx%d px, but the first was %dx%d px; it is left out", positional[i],
+                           frame[i].name, frame[i].image->width, frame[i].image->height, c->width, c->height);
+    }
+    return TD_OK;
+}
+
 /* Takes the next image, and stores it when all are. Cameras go on while frozen, so that the next picture is a
  * fresh one; videos and folders wait. */
 static td_status take(job *j, td_error *error)
@@ -387,6 +413,11 @@ static td_status take(job *j, td_error *error)
     }
     if (ended) j->tally.ended_by = "end of source";
     if (!got) return TD_OK;
+    if (check_sizes(j, frame, error) != TD_OK) {
+        complain(j, error);
+        for (int i = 0; i < j->count; i++) td_image_free(&frame[i].image);
+        return TD_OK;
+    }
     j->failure = (td_error){0};
     j->took_s = terminal_now_s();
     note(j, frame, skew_s);

@@ -37,7 +37,8 @@ typedef struct live_view {
     size_t mark_count[2];
     const char *label[2];
     const char *headline; /* what to do now */
-    const char *facts;    /* lines "name: value"; a line without ": " is plain text */
+    const char *facts;    /* lines "name: value", or "name: left\tright"; ": left\tright" is a head; a line
+                             without ": " is plain text */
     double done;          /* 0 to 1: the bar; NaN: none */
     bool frozen;          /* the picture stands still because it was asked to */
     const char *buttons;  /* those shown, as "freeze store done"; NULL: all */
