@@ -10,6 +10,7 @@
 #include "calib/tag_dictionary.h"
 #include "calib/target_drawing.h"
 #include "core/file.h"
+#include "tests/calib/render_chessboard.h"
 #include "tests/check.h"
 #include "tests/scratch.h"
 
@@ -66,45 +67,31 @@ static void check_ink(const drawing *d, double x_m, double y_m, bool dark)
     if (grey != (dark ? 0 : 255)) fail_msg("grey is %d at (%g, %g) m", grey, x_m, y_m);
 }
 
-/* The drawing in perspective and blurred: column and row of a view's pixel from those of the drawing, turned
- * by some degrees, a little nearer on one side. */
+/* The drawing in perspective: turned by some degrees, half as large, a little nearer on one side; px to px.
+ */
+static const double view_from_drawing[9] = {0.49, 0.06, 40, -0.05, 0.5, 140, 6e-5, -4e-5, 1};
+
 static void view_of(double out[2], double u, double v)
 {
-    const double w = 1 + 6e-5 * u - 4e-5 * v;
-    out[0] = (0.49 * u + 0.06 * v + 40) / w;
-    out[1] = (-0.05 * u + 0.5 * v + 140) / w;
-}
-
-/* A pixel of the view, by Newton's iteration. */
-static void drawing_of(double out[2], double x, double y)
-{
-    out[0] = 2 * x, out[1] = 2 * y;
-    for (int i = 0; i < 20; i++) {
-        double p[2], q[2], r[2];
-        view_of(p, out[0], out[1]);
-        view_of(q, out[0] + 1e-3, out[1]);
-        view_of(r, out[0], out[1] + 1e-3);
-        const double a = (q[0] - p[0]) * 1e3, b = (r[0] - p[0]) * 1e3, c = (q[1] - p[1]) * 1e3,
-                     d = (r[1] - p[1]) * 1e3, det = a * d - b * c, ex = x - p[0], ey = y - p[1];
-        out[0] += (d * ex - b * ey) / det;
-        out[1] += (a * ey - c * ex) / det;
-    }
+    scene_apply(out, view_from_drawing, u, v);
 }
 
 static td_image *photograph(const drawing *d)
 {
-    enum { SIDE = 7 };
+    enum { SIDE = 5 };
     td_image *view = NULL;
     td_error error;
-    check_ok(td_image_new(&view, 1000, 900, 1, &error), error);
+    double back[9];
+    scene_invert(back, view_from_drawing);
+    check_ok(td_image_new(&view, 1000, 800, 1, &error), error);
     for (int y = 0; y < view->height; y++)
         for (int x = 0; x < view->width; x++) {
             double p[2], q[2], sum = 0, weights = 0;
-            drawing_of(p, x, y);
-            drawing_of(q, x + 1, y);
+            scene_apply(p, back, x, y);
+            scene_apply(q, back, x + 1, y);
             const double step = hypot(q[0] - p[0], q[1] - p[1]);
             for (int i = 0; i < SIDE * SIDE; i++) {
-                const double a = (i % SIDE - SIDE / 2) * 0.5, b = (i / SIDE - SIDE / 2) * 0.5;
+                const double a = (i % SIDE - SIDE / 2) * 0.6, b = (i / SIDE - SIDE / 2) * 0.6;
                 const double weight = exp(-(a * a + b * b) / 2 / 0.6 / 0.6);
                 const double u = p[0] + a * step, v = p[1] + b * step;
                 const bool inside = u >= 0 && v >= 0 && u <= d->image->width - 1 && v <= d->image->height - 1;
@@ -135,7 +122,8 @@ static void check_found(const td_target *target)
         if (!(off <= worst)) worst = off;
     }
     printf("%s: worst of %zu points off by %.3f px\n", td_target_kind_name(target->kind), seen.count, worst);
-    check_less(worst, target->kind == TD_TARGET_MARKS ? 0.25 : 0.1);
+    /* Of a mark the centre of gravity is found, which perspective moves by 0.1 px here. */
+    check_less(worst, target->kind == TD_TARGET_MARKS ? 0.15 : 0.05);
     td_detection_free(&seen);
     td_image_free(&view);
     td_image_free(&d.image);
@@ -273,9 +261,9 @@ static void white_stays_white(void **state)
             if (x < -0.0232 || x > 9 * 0.023 + 2e-4 || y < -0.0232 || y > 6 * 0.023 + 2e-4)
                 check_ink(&d, x, y, false);
     /* The rulers are there, and as long as they say. */
-    check_ink(&d, -0.023 + 0.2, y1 + 0.002, true);
-    check_ink(&d, -0.023, y1 + 0.002, true);
-    check_ink(&d, x0 - 0.002, -0.023 + 0.15, true);
+    const double tick[][2] = {{-0.023, y1 + 0.002}, {-0.023 + 0.2, y1 + 0.002}, {x0 - 0.002, -0.023 + 0.15}};
+    for (int i = 0; i < 3; i++)
+        check_less(grey_at(&d, tick[i][0], tick[i][1]), 200); /* thinner than a pixel */
     td_image_free(&d.image);
 }
 
@@ -288,7 +276,7 @@ static void a_printers_scale_is_taken_off(void **state)
     drawing d = render(&t, 0, &o);
     check_near(d.a[0], 10000 / 1.02, 1e-9);
     check_near(d.a[4], 10000 / 0.98, 1e-9);
-    for (int k = 0; k < 2; k++) check_ink(&d, 0.03 - 0.0002 + 0.0004 * k, 0.0152, k == 0);
+    for (int k = 0; k < 2; k++) check_ink(&d, 0.03 - 0.0002 + 0.0004 * k, 0.0052, k == 0);
     td_image_free(&d.image);
 }
 
@@ -321,11 +309,10 @@ static char *read_all(const char *path, size_t *size)
 
 static void same_input_same_bytes(void **state)
 {
-    (void)state;
     static const char *const name[] = {"a.svg", "a.pdf", "a.png"};
     const td_target t = target_of(TD_TARGET_CHARUCO, 4, 3, 0.02);
     td_error error;
-    char *folder = scratch_folder();
+    const char *folder = *state;
     for (int i = 0; i < 3; i++) {
         char *path = td_path_join(folder, name[i]), *first, *second;
         size_t size[2];
@@ -337,17 +324,15 @@ static void same_input_same_bytes(void **state)
         assert_memory_equal(first, second, size[0]);
         free(first), free(second), free(path);
     }
-    scratch_remove(folder);
 }
 
 static void a_png_knows_its_scale(void **state)
 {
-    (void)state;
     const td_target t = target_of(TD_TARGET_CHESSBOARD, 4, 3, 0.01);
     td_image *image = NULL;
     td_error error;
     size_t size;
-    char *folder = scratch_folder(), *path = td_path_join(folder, "a.png");
+    char *path = td_path_join(*state, "a.png");
     check_ok(td_target_draw(path, &t, 0, NULL, &error), error);
     char *bytes = read_all(path, &size);
     const unsigned char scale[] = {'p', 'H', 'Y', 's', 0, 0, 0x5c, 0x46, 0, 0, 0x5c, 0x46, 1}; /* 23622 / m */
@@ -355,7 +340,6 @@ static void a_png_knows_its_scale(void **state)
     check_ok(td_image_read(&image, path, 1, &error), error); /* libpng checks the chunk's CRC */
     td_image_free(&image);
     free(bytes), free(path);
-    scratch_remove(folder);
 }
 
 static void dataset_lines(void **state)
@@ -418,8 +402,8 @@ int main(void)
         cmocka_unit_test(white_stays_white),
         cmocka_unit_test(a_printers_scale_is_taken_off),
         cmocka_unit_test(page_needed_is_what_fits),
-        cmocka_unit_test(same_input_same_bytes),
-        cmocka_unit_test(a_png_knows_its_scale),
+        cmocka_unit_test_setup_teardown(same_input_same_bytes, scratch_make, scratch_remove),
+        cmocka_unit_test_setup_teardown(a_png_knows_its_scale, scratch_make, scratch_remove),
         cmocka_unit_test(dataset_lines),
         cmocka_unit_test(faults_are_named),
     };
