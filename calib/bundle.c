@@ -79,8 +79,7 @@ void td_bundle_free(td_bundle *bundle)
     *bundle = (td_bundle){0};
 }
 
-/* 1 - x'^2 and 1 - y'^2 of a point of a flat target. */
-static void warp_shape(double shape[2], const td_target *target, size_t point)
+void td_bundle_warp_shape(double shape[2], const td_target *target, size_t point)
 {
     double columns = target->plane[0].columns, rows = target->plane[0].rows;
     double x = 2 * (double)(point % (size_t)columns) / (columns - 1) - 1;
@@ -95,7 +94,7 @@ void td_bundle_target_point(double p[3], const td_bundle *bundle, size_t view, s
     td_target_point(p, target, point);
     if (bundle->use_warp) {
         double shape[2];
-        warp_shape(shape, target, point);
+        td_bundle_warp_shape(shape, target, point);
         p[2] += bundle->warp[0] * shape[0] + bundle->warp[1] * shape[1];
     }
     double height = bundle->observations->height_m[view];
@@ -198,7 +197,7 @@ static bool evaluate(double *residual, double *const *jacobian, const double *co
         double shape[2] = {0, 0}, w = weight_of(bundle, d, t->camera, p);
         td_target_point(x, &bundle->observations->target, p);
         if (warp_block >= 0) {
-            warp_shape(shape, &bundle->observations->target, p);
+            td_bundle_warp_shape(shape, &bundle->observations->target, p);
             x[2] += block[warp_block][0] * shape[0] + block[warp_block][1] * shape[1];
         }
         if (!isnan(height)) x[2] -= height;

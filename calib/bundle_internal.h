@@ -41,6 +41,9 @@ static inline size_t td_bundle_index(const td_bundle *b, size_t view, int camera
  * x', y' from -1 to 1 over the board (mrcal's model), and moved by the view's height. */
 void td_bundle_target_point(double p[3], const td_bundle *bundle, size_t view, size_t point);
 
+/* 1 - x'^2 and 1 - y'^2 of a point of a flat target. */
+void td_bundle_warp_shape(double shape[2], const td_target *target, size_t point);
+
 /* Residual (2) px, projected minus seen; false when the point has no projection. */
 bool td_bundle_residual(double r[2], const td_bundle *bundle, size_t view, int camera, size_t point);
 /* Used points of a camera in a view; of a view in all cameras. */

@@ -138,5 +138,6 @@ int main(int argc, char **argv)
     td_linalg_single_thread();
     bench_calibrate(&b);
     bench_charuco(&b);
+    bench_next_view(&b);
     return 0;
 }

@@ -45,6 +45,8 @@ void bench_charuco(const bench *b);
 
 /* bench_calibrate.c */
 void bench_calibrate(const bench *b);
+/* bench_next_view.c */
+void bench_next_view(const bench *b);
 
 /* bench_opencv.cpp: OpenCV on the same points. n views of (points,2) pixels in each image; outputs RMS (px),
  * baseline (m). */

@@ -5,7 +5,8 @@
  * errors, over repeated simulated calibrations with fresh noise. References: differences, dense products,
  * simulated truth. Tolerances: gradients 1e-6 of their largest element (rounding of differences), products
  * 1e-8; error over sigma within what chi-square leaves once in a thousand times for all points together (1000
- * calibrations with TELEDIMOS_FULL=1, 100 and 50 otherwise). Blind to: model error, which no covariance foresees. */
+ * calibrations with TELEDIMOS_FULL=1, 100 and 50 otherwise). Blind to: model error, which no covariance
+ * foresees. */
 #include <time.h>
 
 #include "calib/projected_internal.h"
@@ -86,28 +87,6 @@ static void turn_half(td_detection *d)
         double t = d->sigma[i];
         d->sigma[i] = d->sigma[j];
         d->sigma[j] = t;
-    }
-}
-
-/* Puts views `first` and after on one rail, 8 mm apart, as if the board had stood where the first stands. */
-static void put_on_rail(td_observations *o, const simulation *s, uint64_t scene_seed, size_t first)
-{
-    td_random scene = td_random_seed(scene_seed, 11), noise = td_random_seed(77, 1);
-    td_pose pose = simulated_pose(s, &scene);
-    for (size_t v = first; v < o->view_count; v++) {
-        o->height_m[v] = 0.008 * (double)(v - first);
-        for (int k = 0; k < o->camera_count; k++) {
-            td_detection *d = td_observations_get(o, v, k);
-            for (size_t i = 0; i < d->count; i++) {
-                double x[3];
-                td_target_point(x, &o->target, i);
-                x[2] -= o->height_m[v];
-                td_pose_transform(x, &pose, x);
-                td_pose_transform(x, &s->rig->camera[k].camera_from_rig, x);
-                assert_true(td_camera_project(d->point + 2 * i, NULL, NULL, &s->rig->camera[k].camera, x));
-                for (int j = 0; j < 2; j++) d->point[2 * i + j] += 0.1 * td_random_normal(&noise);
-            }
-        }
     }
 }
 
