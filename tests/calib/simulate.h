@@ -122,7 +122,8 @@ static inline td_observations *simulate(const simulation *s, uint64_t scene_seed
 }
 
 /* Puts views `first` and after on one rail, 8 mm apart, as if the board had stood where the first stands. */
-static inline void put_on_rail(td_observations *o, const simulation *s, uint64_t scene_seed, size_t first)
+static inline void put_views_on_rail(td_observations *o, const simulation *s, uint64_t scene_seed,
+                                     size_t first)
 {
     td_random scene = td_random_seed(scene_seed, 11), noise = td_random_seed(77, 1);
     td_pose pose = simulated_pose(s, &scene);

@@ -88,7 +88,7 @@ static void test_present(void **state)
     options.plain = true;
     check_present(o, &options);
     td_calibration_free(&c);
-    put_on_rail(o, &s, 9, 7);
+    put_views_on_rail(o, &s, 9, 7);
     check_present(o, NULL);
     td_observations_free(&o);
 
