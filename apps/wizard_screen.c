@@ -4,6 +4,8 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/ioctl.h>
+#include <unistd.h>
 
 #include "apps/wizard_internal.h"
 
@@ -144,7 +146,7 @@ static const char *headline(const wizard *w)
     if (w->frozen) return "frozen: z goes on";
     if (w->has_next && w->next.enough) return "more pictures no longer help: Enter calculates the result";
     if (w->has_next) return w->next.text;
-    return "show the board to the camera";
+    return "show the target to the camera";
 }
 
 static void keys_line(FILE *out, const wizard *w)
@@ -186,25 +188,90 @@ static void text_picture(FILE *out, const wizard *w)
     free(mark);
 }
 
-void wizard_draw(wizard *w)
+/* Writes the text with its lines broken between words at the terminal's width, and returns their number.
+ * Escape sequences take no room, and other characters one column each. */
+static int put_lines(FILE *out, const char *text, int width)
+{
+    int lines = 0, column = 0;
+    while (*text) {
+        size_t length = strcspn(text, " \n");
+        int room = 0;
+        for (size_t i = 0; i < length; i++) {
+            if (text[i] == '\033')
+                while (i < length && text[i] != 'm') i++;
+            else
+                room += ((unsigned char)text[i] & 0xc0) != 0x80;
+        }
+        if (column > 0 && column + room > width) {
+            fputs("\n  ", out);
+            column = 2;
+            lines++;
+        }
+        fwrite(text, 1, length, out);
+        column += room;
+        text += length;
+        if (*text == ' ' && column < width) {
+            putc(' ', out);
+            column++;
+        }
+        if (*text == '\n') {
+            putc('\n', out);
+            column = 0;
+            lines++;
+        }
+        text += *text != 0;
+    }
+    return lines;
+}
+
+static void screen_size(int *columns, int *rows)
+{
+    struct winsize size = {0};
+    bool known = ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 20 && size.ws_row > 5;
+    *columns = known ? size.ws_col : 80;
+    *rows = known ? size.ws_row : 24;
+}
+
+static char *panel(const wizard *w, bool pictures)
 {
     char *text = NULL;
     size_t size = 0;
     FILE *out = open_memstream(&text, &size);
-    if (!out) return;
+    if (!out) return NULL;
     fputc('\n', out);
-    text_picture(out, w);
-    maps(out, w);
+    if (pictures) {
+        text_picture(out, w);
+        maps(out, w);
+    }
     facts(out, w);
     fprintf(out, "%sNEXT: %s%s\n", style(w, BOLD), headline(w), style(w, PLAIN));
     keys_line(out, w);
-    if (fclose(out) == 0) {
-        wizard_clear(w);
-        fwrite(text, 1, size, stderr);
-        fflush(stderr);
-        for (size_t i = 0; i < size; i++) w->panel_lines += text[i] == '\n';
-    }
+    if (fclose(out) == 0) return text;
     free(text);
+    return NULL;
+}
+
+/* The panel as it comes on the screen; what does not fit into its height is left out. */
+void wizard_draw(wizard *w)
+{
+    int columns, rows;
+    screen_size(&columns, &rows);
+    for (int pictures = 1; pictures >= 0; pictures--) {
+        char *text = panel(w, pictures), *lines = NULL;
+        size_t size = 0;
+        FILE *out = text ? open_memstream(&lines, &size) : NULL;
+        int count = out ? put_lines(out, text, columns) : 0;
+        free(text);
+        bool fits = out && fclose(out) == 0 && (count < rows || !pictures);
+        if (fits) {
+            wizard_clear(w);
+            fwrite(lines, 1, size, stderr);
+            fflush(stderr);
+            w->panel_lines = count < rows ? count : rows - 1;
+        }
+        free(lines);
+        if (fits) break;
+    }
     wizard_show_live(w);
 }
 
