@@ -17,7 +17,7 @@ static const double ABOUT = 2.3;        /* squares, within which markers or corn
 static const double MOST_SHIFT = 0.25;  /* squares from where a corner was predicted */
 static const double WINDOW_SHARE = 0.6; /* of the shorter step: radius of td_corner_refine's window */
 static const double LEAST_WINDOW = 3.1, CLEARANCE = 0.5; /* px: radius; from its rim to a marker's corner */
-enum { NEAREST = 4, MOST_POINTS = 64, LEAST_CORNERS = 4 };
+enum { NEAREST = 4, MOST_POINTS = 64, LEAST_CORNERS = 4, LEAST_MARKERS = 2 };
 
 typedef struct board {
     const td_image *image;
@@ -176,38 +176,45 @@ static td_status fill(td_detection *detection, const board *b, int seen, td_erro
     return TD_OK;
 }
 
-static td_status tell(td_detection *detection, const board *b, const td_image *image, const td_target *target,
-                      const char *doubt, size_t placed, int seen, td_error *error)
+static void tell(td_detection *detection, const td_target *target, const char *why)
 {
-    char why[160];
-    if (*doubt)
-        snprintf(why, sizeof why, "%s", doubt);
-    else if (placed == 0)
-        TD_TRY(td_charuco_look_again(why, sizeof why, image, target, error));
-    else
-        snprintf(why, sizeof why,
-                 ", saw %zu of its markers, but only %d corners can be measured%s: blur, glare, or too "
-                 "little in view",
-                 placed, seen, seen >= LEAST_CORNERS ? ", all in line" : "");
     snprintf(detection->reason, sizeof detection->reason,
-             "looked for a charuco of %dx%d inner corners with %s%s", b->layout.columns, b->layout.rows,
-             target->dictionary, why);
-    return TD_OK;
+             "looked for a charuco of %dx%d inner corners with %s%s", target->plane[0].columns,
+             target->plane[0].rows, target->dictionary, why);
+}
+
+/* Refines the corners that the markers tell, how many in *seen; why they may be too few in `why`. */
+static td_status measure(board *b, int *seen, char *why, size_t size, const td_target *target,
+                         td_error *error)
+{
+    td_marker *marker = NULL;
+    size_t count = 0;
+    TD_TRY(td_markers_find(&marker, &count, b->image, target->dictionary, target->border, error));
+    const size_t placed = td_charuco_place(marker, count, &b->layout);
+    td_status status = TD_OK;
+    *seen = 0;
+    if (!td_charuco_doubt(why, size, marker, count, placed, &b->layout)) {
+        if (placed >= LEAST_MARKERS) *seen = refine_all(b, marker, count);
+        if (placed < LEAST_MARKERS)
+            status = td_charuco_look_again(why, size, marker, count, b->image, target, error);
+        else
+            snprintf(why, size,
+                     ", saw %zu of its markers, but only %d corners%s can be measured: blur, glare, or too "
+                     "little in view",
+                     placed, *seen, *seen >= LEAST_CORNERS ? ", all in line," : "");
+    }
+    free(marker);
+    return status;
 }
 
 static td_status detect(td_detection *detection, board *b, const td_target *target, td_error *error)
 {
-    td_marker *marker = NULL;
-    size_t count = 0;
-    char doubt[160] = "";
-    TD_TRY(td_markers_find(&marker, &count, b->image, target->dictionary, target->border, error));
-    const size_t placed = td_charuco_place(marker, count, &b->layout);
-    const bool doubtful = td_charuco_doubt(doubt, sizeof doubt, marker, count, placed, &b->layout);
-    const int seen = doubtful ? 0 : refine_all(b, marker, count);
-    free(marker);
-    if (doubtful || seen < LEAST_CORNERS || in_line(b))
-        return tell(detection, b, b->image, target, doubt, placed, seen, error);
-    return fill(detection, b, seen, error);
+    int seen = 0;
+    char why[160] = "";
+    TD_TRY(measure(b, &seen, why, sizeof why, target, error));
+    if (seen >= LEAST_CORNERS && !in_line(b)) return fill(detection, b, seen, error);
+    tell(detection, target, why);
+    return TD_OK;
 }
 
 td_status td_charuco_detect(td_detection *detection, const td_image *image, const td_target *target,

@@ -53,15 +53,14 @@ td_status td_markers_find(td_marker **markers, size_t *count, const td_image *im
  * neighbours that predict each other's centres, the largest. Returns how many. */
 size_t td_charuco_place(td_marker *marker, size_t count, const td_charuco_layout *layout);
 
-/* Writes why the markers found (none of them, or few placed) are not the layout's, beginning with ", ", and
- * returns true; false when nothing speaks against the layout. */
+/* Writes what other layout the markers fit better, beginning with ", ", and returns true; false when none. */
 bool td_charuco_doubt(char *text, size_t size, const td_marker *marker, size_t count, size_t placed,
                       const td_charuco_layout *layout);
 
-/* Writes what is in an image in which no marker could be placed: other dictionaries, a mirrored board, none.
+/* The same when the markers found, if any, do not agree: another dictionary, a mirrored board, another board.
  */
-td_status td_charuco_look_again(char *text, size_t size, const td_image *image, const td_target *target,
-                                td_error *error);
+td_status td_charuco_look_again(char *text, size_t size, const td_marker *marker, size_t count,
+                                const td_image *image, const td_target *target, td_error *error);
 
 /* Behind the wall: by OpenCV's predefined dictionary of this number, `count` markers into *marker (id and
  * corners only), to be freed with free(). */

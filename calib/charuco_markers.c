@@ -167,28 +167,13 @@ static size_t try_layout(const td_marker *marker, size_t count, const td_charuco
     return placed;
 }
 
-static void doubt_numbers(char *text, size_t size, const td_marker *marker, size_t count,
-                          const td_charuco_layout *layout)
-{
-    int low = marker[0].id, high = marker[0].id;
-    for (size_t i = 1; i < count; i++) {
-        if (marker[i].id < low) low = marker[i].id;
-        if (marker[i].id > high) high = marker[i].id;
-    }
-    snprintf(
-        text, size,
-        ", which has the markers %d to %d, but saw %zu with numbers from %d to %d: another board, or another "
-        "first_id or size",
-        layout->first_id, layout->first_id + marker_count(layout) - 1, count, low, high);
-}
-
 /* Another layout, and what it would mean. */
 typedef struct guess {
     td_charuco_layout layout;
     const char *meaning;
 } guess;
 
-enum { GUESSES = 9 };
+enum { SIZES = 5, GUESSES = 9 }; /* the first by which sizes are guessed */
 
 static void make_guesses(guess g[GUESSES], const td_charuco_layout *layout)
 {
@@ -205,7 +190,7 @@ static void make_guesses(guess g[GUESSES], const td_charuco_layout *layout)
     g[3].meaning = "squares were counted instead of inner corners";
     g[4].layout.columns++, g[4].layout.rows++;
     g[4].meaning = "it is one larger: columns and rows count inner corners";
-    for (int i = 5; i < GUESSES; i++) g[i].layout.share = share[i - 5];
+    for (int i = SIZES; i < GUESSES; i++) g[i].layout.share = share[i - SIZES];
 }
 
 bool td_charuco_doubt(char *text, size_t size, const td_marker *marker, size_t count, size_t placed,
@@ -213,20 +198,17 @@ bool td_charuco_doubt(char *text, size_t size, const td_marker *marker, size_t c
 {
     guess g[GUESSES];
     const guess *best = NULL;
-    size_t most = placed + placed / 2, own = 0;
-    double square[2];
-    if (count < ENOUGH || 4 * placed >= 3 * count) return false;
+    size_t most = ENOUGH - 1;
+    if (count < ENOUGH || placed == count) return false;
     make_guesses(g, layout);
     for (size_t i = 0; i < GUESSES; i++) {
+        /* Squares of the other colour or a larger board may place nearly as many, a column aside. */
+        const size_t better = i < SIZES ? placed + 1 : placed + placed / 2;
         const size_t fits = try_layout(marker, count, &g[i].layout);
-        if (fits >= ENOUGH && fits > most) most = fits, best = &g[i];
+        if (fits > better && fits > most) most = fits, best = &g[i];
     }
-    for (size_t i = 0; i < count; i++) own += square_of(square, marker[i].id, layout);
-    if (best)
-        snprintf(text, size, ", but by its markers %s", best->meaning);
-    else if (2 * own < count)
-        doubt_numbers(text, size, marker, count, layout);
-    return best || 2 * own < count;
+    if (best) snprintf(text, size, ", but by its markers %s", best->meaning);
+    return best;
 }
 
 static void mirror(td_image *image)
@@ -240,46 +222,63 @@ static void mirror(td_image *image)
     }
 }
 
-/* The other dictionary, with its border, of which most markers are seen. */
-static td_status seek_other(char *text, size_t size, const td_image *image, const td_target *target,
-                            td_error *error)
+/* The other dictionary, with its border, of which more than `most` markers are seen. */
+static td_status seek_other(char *text, size_t size, size_t most, const td_image *image,
+                            const td_target *target, td_error *error)
 {
-    size_t most = ENOUGH - 1;
     for (int i = 0; i < KNOWN; i++) {
         td_marker *marker = NULL;
         size_t count = 0;
+        int high = 0;
         if (known[i].whole) continue;
         TD_TRY(td_markers_find(&marker, &count, image, known[i].name, target->border, error));
-        int high = 0;
         for (size_t k = 0; k < count; k++)
             if (marker[k].id > high) high = marker[k].id;
         free(marker);
         if (count <= most) continue;
         most = count;
-        snprintf(text, size, ", but saw none; there are %zu of %s, with numbers up to %d: set dictionary",
-                 count, known[i].name, high);
+        snprintf(text, size, ", but saw %zu markers of %s, with numbers up to %d: set dictionary", count,
+                 known[i].name, high);
     }
     return TD_OK;
 }
 
-td_status td_charuco_look_again(char *text, size_t size, const td_image *image, const td_target *target,
-                                td_error *error)
+static void tell_numbers(char *text, size_t size, const td_marker *marker, size_t count,
+                         const td_charuco_layout *layout)
+{
+    int low = marker[0].id, high = marker[0].id;
+    for (size_t i = 1; i < count; i++) {
+        if (marker[i].id < low) low = marker[i].id;
+        if (marker[i].id > high) high = marker[i].id;
+    }
+    snprintf(text, size,
+             ", markers %d to %d, but saw %zu with numbers from %d to %d that do not fit: another board, or "
+             "another "
+             "first_id or size",
+             layout->first_id, layout->first_id + marker_count(layout) - 1, count, low, high);
+}
+
+td_status td_charuco_look_again(char *text, size_t size, const td_marker *marker, size_t count,
+                                const td_image *image, const td_target *target, td_error *error)
 {
     const td_charuco_layout layout = td_charuco_layout_of(target);
     int times = 0;
     td_image *small = NULL;
-    td_marker *marker = NULL;
-    size_t count = 0;
+    td_marker *other = NULL;
+    size_t others = 0;
     while ((double)(image->width >> times) * (image->height >> times) > LARGEST_IMAGE) times++;
-    snprintf(text, size, ", but saw none: not in view, blurred, or its markers smaller than 9 px");
+    if (count)
+        tell_numbers(text, size, marker, count, &layout);
+    else
+        snprintf(text, size, ", but saw no marker: not in view, blurred, or its markers smaller than 9 px");
     TD_TRY(td_image_shrink(&small, image, times, error));
-    td_status status = seek_other(text, size, small, target, error);
+    td_status status = seek_other(text, size, count < ENOUGH ? ENOUGH - 1 : count, small, target, error);
     mirror(small);
     if (status == TD_OK)
-        status = td_markers_find(&marker, &count, small, target->dictionary, target->border, error);
-    if (status == TD_OK && td_charuco_place(marker, count, &layout) >= ENOUGH)
+        status = td_markers_find(&other, &others, small, target->dictionary, target->border, error);
+    if (status == TD_OK && td_charuco_place(other, others, &layout) >= ENOUGH)
         snprintf(text, size, ", but saw it mirrored: turn off the camera's mirroring");
-    free(marker);
+    free(other);
     td_image_free(&small);
     return status;
 }
