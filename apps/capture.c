@@ -14,7 +14,7 @@
 #include "core/source.h"
 
 enum { DEFAULT_PORT = 7040, LINE_SIZE = 512, FACTS_SIZE = 1024 };
-static const double WAIT_S = 0.05;
+static const double WAIT_S = 0.05, REFRESH_S = 0.5;
 
 static const char *positional[CAPTURE_CAMERAS];
 static cli_common common;
@@ -121,7 +121,9 @@ typedef struct job {
     double time_s;                    /* of it */
     double clock_offset_s;            /* since 1970, less the monotonic clock */
     double best_focus[CAPTURE_CAMERAS];
-    double took_s; /* by the monotonic clock: when the last image came */
+    double took_s;  /* by the monotonic clock: when the last image came */
+    double shown_s; /* likewise: the page */
+    bool fresh;     /* something came since */
     bool frozen, image_stored;
     bool keys, paced; /* one for each press; not faster than the rate */
     td_error failure;
@@ -319,7 +321,12 @@ static void show_page(const job *j)
 static void show(job *j, bool now)
 {
     char line[LINE_SIZE];
-    if (j->page) show_page(j);
+    const double now_s = terminal_now_s();
+    if (j->page && (now || j->fresh || now_s - j->shown_s > REFRESH_S)) {
+        show_page(j);
+        j->shown_s = now_s;
+        j->fresh = false;
+    }
     status_line(line, j);
     capture_screen_draw(&j->screen, (const td_image *const *)j->image, j->image[0] ? j->count : 0, line, now);
 }
@@ -349,6 +356,7 @@ static void note(job *j, const td_frame *frame, double skew_s)
 {
     capture_tally *t = &j->tally;
     count_dropped(j, frame[0].time_s);
+    j->fresh = true;
     if (!t->seen) t->first_s = frame[0].time_s;
     t->last_s = frame[0].time_s;
     t->seen++;

@@ -77,7 +77,8 @@ td_status capture_target(json_t **target, const char *text, td_error *error)
     json_t *made = NULL;
     while (isspace((unsigned char)*text)) text++;
     if (*text == '{') {
-        TD_TRY(td_document_parse(&made, text, strlen(text), "--target", error));
+        if (td_document_parse(&made, text, strlen(text), "--target", error) != TD_OK)
+            return TD_ERROR_ARGUMENT;
     } else {
         made = json_object();
         if (!made || !parse_words(made, text)) {

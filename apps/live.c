@@ -27,6 +27,7 @@ enum {
     PERIOD_US = 1000000 / 15
 };
 
+static const char SOCKET_PROTOCOL[] = "teledimos-live";
 static const char *const words[] = {"freeze", "store", "done", "skip", NULL};
 
 /* A copy of a live_view. */
@@ -240,8 +241,6 @@ static snapshot *snapshot_make(view *v)
 
 /* ---- the thread ---- */
 
-static const struct lws_protocols protocols[];
-
 static void on_timer(lws_sorted_usec_list_t *timer);
 
 /* Encodes what is pending, when somebody is there to see it and the last was long enough ago. */
@@ -266,7 +265,8 @@ static void refresh(live *page)
     snapshot_release(&page->latest);
     page->latest = made;
     page->encoded_us = lws_now_usecs();
-    lws_callback_on_writable_all_protocol_vhost(page->host, &protocols[1]);
+    lws_callback_on_writable_all_protocol_vhost(page->host,
+                                                lws_vhost_name_to_protocol(page->host, SOCKET_PROTOCOL));
 }
 
 static void on_timer(lws_sorted_usec_list_t *timer)
@@ -406,7 +406,7 @@ static int on_http(struct lws *wsi, enum lws_callback_reasons reason, void *user
 
 static const struct lws_protocols protocols[] = {
     {"http", on_http, sizeof(request), 0, 0, NULL, 0},
-    {"teledimos-live", on_socket, sizeof(client), 256, 0, NULL, 0},
+    {SOCKET_PROTOCOL, on_socket, sizeof(client), 256, 0, NULL, 0},
     {NULL, NULL, 0, 0, 0, NULL, 0},
 };
 
