@@ -12,6 +12,7 @@
 #include "apps/terminal.h"
 #include "core/file.h"
 #include "core/source.h"
+#include "core/target_words.h"
 
 enum { DEFAULT_PORT = 7040, LINE_SIZE = 512, FACTS_SIZE = 1024 };
 static const double WAIT_S = 0.05, REFRESH_S = 0.5;
@@ -42,7 +43,7 @@ static cli_option options[] = {
     {CLI_STRING, "names", 0, &names_text, "A,B", "names of the cameras; default: camera, or left,right", 0, 0,
      NULL},
     {CLI_STRING, "target", 0, &target_text, "TARGET",
-     "what is seen, for dataset.yaml: 'chessboard 9x6 25mm', 'marks 7x5 30mm 12mm' (spacing, diameter), or a "
+     "what is seen, for dataset.yaml: 'chessboard 9x6 25mm', 'marks 7x5 30mm diameter 12mm', or a "
      "mapping as '{kind: chessboard, columns: 9, rows: 6, spacing_m: 0.025}'",
      0, 0, NULL},
     {CLI_STRING, "model", 0, &model, "MODEL",
@@ -558,11 +559,20 @@ static void greet(const job *j)
 }
 
 /* Everything that can be wrong is found before anything is written. */
+static td_status parse_target(json_t **mapping, td_error *error)
+{
+    td_target target;
+    td_status status = td_target_from_words(&target, mapping, target_text, error);
+    if (status == TD_OK) return TD_OK;
+    td_error_prefix(error, status, "--target");
+    return TD_ERROR_ARGUMENT;
+}
+
 static td_status prepare(job *j, td_error *error)
 {
     TD_TRY(parse_size(j, error));
     TD_TRY(parse_names(j, error));
-    if (target_text) TD_TRY(capture_target(&j->dataset.target, target_text, error));
+    if (target_text) TD_TRY(parse_target(&j->dataset.target, error));
     TD_TRY(check_keys(j, error));
     TD_TRY(open_sources(j, error));
     TD_TRY(open_dataset(j, error));

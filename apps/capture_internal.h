@@ -23,11 +23,6 @@ typedef struct capture_measure {
 } capture_measure;
 capture_measure capture_measure_image(const td_image *image);
 
-/* ---- capture_target.c ---- */
-
-/* A target as dataset.yaml holds it, from "chessboard 9x6 25mm", "marks 7x5 30mm 12mm" or a YAML mapping. */
-td_status capture_target(json_t **target, const char *text, td_error *error);
-
 /* ---- capture_dataset.c ---- */
 
 /* The dataset that grows. */

@@ -4,38 +4,14 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/ioctl.h>
-#include <termios.h>
 #include <unistd.h>
 
 #include "apps/capture_internal.h"
+#include "apps/keys.h"
 #include "apps/terminal.h"
 
 static const double PERIOD_S = 0.2;
 enum { COLUMNS = 80, ROWS = 24 };
-
-/* How the terminal was, to be put back whatever ends the program in an orderly way. */
-static struct termios before;
-static bool is_raw;
-
-static void put_back(void)
-{
-    if (is_raw) tcsetattr(STDIN_FILENO, TCSADRAIN, &before);
-    is_raw = false;
-}
-
-/* Keys come one by one and are not shown; Ctrl-C stays a signal. */
-static void make_raw(void)
-{
-    struct termios raw;
-    if (!isatty(STDIN_FILENO) || tcgetattr(STDIN_FILENO, &before) != 0) return;
-    raw = before;
-    raw.c_lflag &= ~(tcflag_t)(ICANON | ECHO);
-    raw.c_cc[VMIN] = 0;
-    raw.c_cc[VTIME] = 0;
-    if (tcsetattr(STDIN_FILENO, TCSADRAIN, &raw) != 0) return;
-    is_raw = true;
-    atexit(put_back);
-}
 
 static bool has_colours(void)
 {
@@ -49,7 +25,7 @@ void capture_screen_open(capture_screen *s, bool keys, bool text, bool quiet)
     *s = (capture_screen){.keys = keys, .text = text, .tty = isatty(STDERR_FILENO)};
     s->line = s->tty && !quiet;
     s->colour = has_colours();
-    if (keys) make_raw();
+    s->keys = keys && keys_open();
     /* A screen of its own, without a cursor; what stood there before comes back. */
     if (text && s->tty) fputs("\033[?1049h\033[?25l", stderr);
 }
@@ -59,7 +35,7 @@ void capture_screen_close(capture_screen *s)
     capture_screen_clear(s);
     if (s->text && s->tty) fputs("\033[?25h\033[?1049l", stderr);
     fflush(stderr);
-    put_back();
+    keys_close();
 }
 
 void capture_screen_clear(capture_screen *s)
@@ -71,11 +47,10 @@ void capture_screen_clear(capture_screen *s)
 
 const char *capture_screen_pressed(capture_screen *s)
 {
-    char key;
-    if (!s->keys || !is_raw || read(STDIN_FILENO, &key, 1) != 1) return NULL;
+    int key = s->keys ? keys_next(0) : 0;
     if (key == ' ' || key == '\n' || key == '\r' || key == 's') return "store";
     if (key == 'f') return "freeze";
-    if (key == 'q' || key == 4) return "done"; /* 4: Ctrl-D */
+    if (key == 'q' || key == 4 || key < 0) return "done"; /* 4: Ctrl-D */
     return NULL;
 }
 
