@@ -158,6 +158,16 @@ static inline void sigma_bounds(double *low, double *high, size_t n, size_t para
     *high = sqrt(pow(1 - c + a * sqrt(c), 3));
 }
 
+/* Under AddressSanitizer solves take ten times as long: a few show what it is for. */
+static inline bool sanitized_tests(void)
+{
+#ifdef __SANITIZE_ADDRESS__
+    return true;
+#else
+    return false;
+#endif
+}
+
 static inline bool full_tests(void)
 {
     const char *full = getenv("TELEDIMOS_FULL");
