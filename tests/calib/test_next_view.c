@@ -12,7 +12,7 @@
 #include "calib/projected_internal.h"
 #include "core/linalg.h"
 #include "tests/calib/guided.h"
-#include "tests/calib/simulate.h"
+#include "tests/calib/simulate_depth.h"
 
 static td_calibration *calibrated(const td_observations *o, const td_calibrate_options *given)
 {
@@ -88,7 +88,7 @@ static void test_present(void **state)
     options.plain = true;
     check_present(o, &options);
     td_calibration_free(&c);
-    put_on_rail(o, &s, 9, 7);
+    put_rest_on_rail(o, &s, 9, 7);
     check_present(o, NULL);
     td_observations_free(&o);
 

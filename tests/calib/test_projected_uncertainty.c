@@ -13,7 +13,7 @@
 #include "calib/projected_uncertainty.h"
 #include "core/linalg.h"
 #include "core/parallel.h"
-#include "tests/calib/simulate.h"
+#include "tests/calib/simulate_depth.h"
 
 static td_calibration *calibrated(const td_observations *o, const td_calibrate_options *given)
 {
@@ -128,7 +128,7 @@ static void test_rebuilt(void **state)
     td_observations_free(&o);
     s.warp_m[0] = 0;
     o = simulate(&s, 33, 34, 0.1, 0.1);
-    put_on_rail(o, &s, 35, 6);
+    put_rest_on_rail(o, &s, 35, 6);
     c = calibrated(o, NULL);
     check_rebuilt(c, o);
     td_calibration_free(&c);
@@ -326,7 +326,7 @@ static void test_covariance(void **state)
     td_error error = {0};
     simulation s = simulate_stereo(TD_CAMERA_BROWN5, 10);
     td_observations *o = simulate(&s, 61, 62, 0.1, 0.05);
-    put_on_rail(o, &s, 63, 8);
+    put_rest_on_rail(o, &s, 63, 8);
     td_observations_get(o, 4, 0)->found = td_observations_get(o, 4, 1)->found = false;
     td_calibration *c = calibrated(o, NULL);
     td_bundle_result result;
