@@ -43,11 +43,12 @@ typedef struct td_next_view {
                                 (0.35 m)" */
 } td_next_view;
 
-/* `calibration` may be NULL while the views are too few: the first ones are then asked for by rule (in the
- * middle and facing, then tilted to each side, then in the corners) from the images' size and a camera of 60
- * degrees across; the number of views in which the target was found says which. Deterministic. A chessboard
- * is asked for whole in the image, of other targets at least 60 % of the points. `options` may be NULL. Of
- * rigs of many cameras, the images of the four worst are searched. */
+/* `observations` are those that were calibrated. `calibration` may be NULL while the views are too few: the
+ * first ones are then asked for by rule (in the middle and facing, then tilted to each side, then in the
+ * corners) from the images' size and a camera of 60 degrees across, in the frame of the camera named; the
+ * number of views in which the target was found says which. Deterministic. A chessboard is asked for whole in
+ * the image, of other targets at least 60 % of the points. `options` may be NULL. Of rigs of many cameras,
+ * the images of the four worst are searched. */
 TD_API td_status td_next_view_find(td_next_view *view, const td_calibration *calibration,
                                    const td_observations *observations, const td_next_view_options *options,
                                    td_error *error);

@@ -121,29 +121,6 @@ static inline td_observations *simulate(const simulation *s, uint64_t scene_seed
     return o;
 }
 
-/* Puts views `first` and after on one rail, 8 mm apart, as if the board had stood where the first stands. */
-static inline void put_views_on_rail(td_observations *o, const simulation *s, uint64_t scene_seed,
-                                     size_t first)
-{
-    td_random scene = td_random_seed(scene_seed, 11), noise = td_random_seed(77, 1);
-    td_pose pose = simulated_pose(s, &scene);
-    for (size_t v = first; v < o->view_count; v++) {
-        o->height_m[v] = 0.008 * (double)(v - first);
-        for (int k = 0; k < o->camera_count; k++) {
-            td_detection *d = td_observations_get(o, v, k);
-            for (size_t i = 0; i < d->count; i++) {
-                double x[3];
-                td_target_point(x, &o->target, i);
-                x[2] -= o->height_m[v];
-                td_pose_transform(x, &pose, x);
-                td_pose_transform(x, &s->rig->camera[k].camera_from_rig, x);
-                assert_true(td_camera_project(d->point + 2 * i, NULL, NULL, &s->rig->camera[k].camera, x));
-                for (int j = 0; j < 2; j++) d->point[2 * i + j] += 0.1 * td_random_normal(&noise);
-            }
-        }
-    }
-}
-
 /* Bounds on sqrt(sum of n squared standard normals / n) that a true sigma leaves once in a thousand times
  * over `parameters` of them together (Bonferroni; Wilson and Hilferty's approximation of chi-square). */
 static inline void sigma_bounds(double *low, double *high, size_t n, size_t parameters)
@@ -157,6 +134,16 @@ static inline void sigma_bounds(double *low, double *high, size_t n, size_t para
     double c = 2 / (9.0 * (double)n);
     *low = sqrt(pow(1 - c - a * sqrt(c), 3));
     *high = sqrt(pow(1 - c + a * sqrt(c), 3));
+}
+
+/* Under AddressSanitizer solves take ten times as long: a few show what it is for. */
+static inline bool sanitized_tests(void)
+{
+#ifdef __SANITIZE_ADDRESS__
+    return true;
+#else
+    return false;
+#endif
 }
 
 static inline bool full_tests(void)

@@ -37,6 +37,16 @@ static inline void put_on_rail(td_observations *o, const simulation *s, size_t v
     }
 }
 
+/* Views `first` and after on one rail, 8 mm apart, that stands where the first pose of a scene is. */
+static inline void put_rest_on_rail(td_observations *o, const simulation *s, uint64_t scene_seed,
+                                    size_t first)
+{
+    td_random scene = td_random_seed(scene_seed, 11), noise = td_random_seed(77, 1);
+    td_pose pose = simulated_pose(s, &scene);
+    for (size_t v = first; v < o->view_count; v++)
+        put_on_rail(o, s, v, &pose, 0.008 * (double)(v - first), 0.1, &noise);
+}
+
 /* The poses that simulate() gave its views. */
 static inline void true_poses(td_pose *rig_from_target, const simulation *s, uint64_t scene_seed)
 {

@@ -5,7 +5,7 @@
  * errors, over repeated simulated calibrations with fresh noise. References: differences, dense products,
  * simulated truth. Tolerances: gradients 1e-6 of their largest element (rounding of differences), products
  * 1e-8; error over sigma within what chi-square leaves once in a thousand times for all points together (1000
- * calibrations with TELEDIMOS_FULL=1, 100 and 50 otherwise). Blind to: model error, which no covariance
+ * calibrations with TELEDIMOS_FULL=1, 80 and 40 otherwise). Blind to: model error, which no covariance
  * foresees. */
 #include <time.h>
 
@@ -13,7 +13,7 @@
 #include "calib/projected_uncertainty.h"
 #include "core/linalg.h"
 #include "core/parallel.h"
-#include "tests/calib/simulate.h"
+#include "tests/calib/simulate_depth.h"
 
 static td_calibration *calibrated(const td_observations *o, const td_calibrate_options *given)
 {
@@ -128,7 +128,7 @@ static void test_rebuilt(void **state)
     td_observations_free(&o);
     s.warp_m[0] = 0;
     o = simulate(&s, 33, 34, 0.1, 0.1);
-    put_views_on_rail(o, &s, 35, 6);
+    put_rest_on_rail(o, &s, 35, 6);
     c = calibrated(o, NULL);
     check_rebuilt(c, o);
     td_calibration_free(&c);
@@ -326,7 +326,7 @@ static void test_covariance(void **state)
     td_error error = {0};
     simulation s = simulate_stereo(TD_CAMERA_BROWN5, 10);
     td_observations *o = simulate(&s, 61, 62, 0.1, 0.05);
-    put_views_on_rail(o, &s, 63, 8);
+    put_rest_on_rail(o, &s, 63, 8);
     td_observations_get(o, 4, 0)->found = td_observations_get(o, 4, 1)->found = false;
     td_calibration *c = calibrated(o, NULL);
     td_bundle_result result;
@@ -404,7 +404,7 @@ static void test_map(void **state)
     (void)state;
     td_error error = {0};
     td_uncertainty_map *map = NULL;
-    const size_t views[2] = {13, 200};
+    const size_t views[2] = {13, sanitized_tests() ? 20 : 200};
     for (int i = 0; i < 2; i++) {
         simulation s = simulate_stereo(TD_CAMERA_BROWN5, views[i]);
         td_observations *o = simulate(&s, 71, 72, 0.1, 0.1);
@@ -514,7 +514,7 @@ static void run_one(size_t index, void *user)
  * point is chi-square with 2 degrees of freedom a calibration, so `sigma_bounds` is asked for 2 runs. */
 static void check_monte_carlo(double noise_px, double sigma_px, size_t few, uint64_t first_seed)
 {
-    size_t runs = full_tests() ? MOST_RUNS : few;
+    size_t runs = sanitized_tests() ? 6 : full_tests() ? MOST_RUNS : few;
     simulation s = simulate_stereo(TD_CAMERA_BROWN5, 12);
     td_pose board[12];
     td_random scene = td_random_seed(81, 11);
@@ -563,14 +563,14 @@ static void check_monte_carlo(double noise_px, double sigma_px, size_t few, uint
 static void test_known_sigma(void **state)
 {
     (void)state;
-    check_monte_carlo(0.1, 0.1, 100, 9000);
+    check_monte_carlo(0.1, 0.1, 80, 9000);
 }
 
 /* Nothing is known of the points' own sigma: the noise is estimated from the residuals. */
 static void test_estimated_sigma(void **state)
 {
     (void)state;
-    check_monte_carlo(0.3, 0, 50, 19000);
+    check_monte_carlo(0.3, 0, 40, 19000);
 }
 
 int main(void)
