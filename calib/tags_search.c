@@ -151,7 +151,6 @@ static bool detect(tag_list *list, apriltag_detector_t *detector, uint8_t *pixel
     bool enough = true;
     for (int i = 0; found && i < zarray_size(found); i++) {
         apriltag_detection_t *d;
-        tag_levels levels;
         zarray_get(found, i, &d);
         td_tag tag = {.id = d->id, .border = (d->family->width_at_border - codes->side) / 2};
         for (int k = 0; k < 4; k++) { /* libapriltag begins at the lower left and goes round the other way */
@@ -159,8 +158,7 @@ static bool detect(tag_list *list, apriltag_detector_t *detector, uint8_t *pixel
             tag.corner[2 * k + 1] = d->p[3 - k][1] - PIXEL_CENTRE;
         }
         if (widened) move_sides_out(tag.corner, widened);
-        if (!is_known(list, &tag) && td_tag_read(&levels, grey, &tag, codes) &&
-            td_tag_is_read(&levels, &tag, codes)) {
+        if (!is_known(list, &tag) && td_tag_is_of_border(grey, &tag, codes)) {
             tag.wrong_bits = d->hamming;
             enough = enough && td_tag_list_add(list, &tag);
         }

@@ -137,5 +137,6 @@ int main(int argc, char **argv)
     }
     td_linalg_single_thread();
     bench_calibrate(&b);
+    bench_tags(&b);
     return 0;
 }
