@@ -58,7 +58,7 @@ td_status td_tags_find(td_tag **tags, size_t *count, const td_image *image, cons
     if (border < 0 || border > 2)
         return td_fail(error, TD_ERROR_ARGUMENT, "border: is %d, but must be 1, 2 or 0 for either", border);
     TD_TRY(td_tag_codes(&codes, dictionary, error));
-    td_status status = td_tags_search(&list, image, &codes, border, error);
+    td_status status = td_tags_search(&list, image, &codes, border, SIZE_MAX, error);
     if (status == TD_OK) {
         for (size_t i = 0; i < list.count; i++) td_tag_measure(&list.tag[i], inflation, image, &codes, 0);
         inflate(list.tag, list.count, inflation);
@@ -78,7 +78,7 @@ static td_status look(tag_list *list, const td_image *image, const char *diction
 {
     tag_codes codes;
     TD_TRY(td_tag_codes(&codes, dictionary, error));
-    td_status status = td_tags_search(list, image, &codes, 0, error);
+    td_status status = td_tags_search(list, image, &codes, 0, SIZE_MAX, error);
     free(codes.code);
     return status;
 }
@@ -319,7 +319,9 @@ static td_status detect(td_detection *d, const td_image *image, const td_target 
     if (target->kind == TD_TARGET_APRILGRID)
         g.outside =
             (target->plane[0].spacing_m / target->tag_size_m - 1) * td_tag_side(codes, target->border);
-    td_status status = td_tags_search(&list, image, codes, target->border, error);
+    /* A grid grows from a few tags. */
+    const size_t enough = (size_t)(target->kind == TD_TARGET_APRILGRID ? (tags + 3) / 4 : tags);
+    td_status status = td_tags_search(&list, image, codes, target->border, enough, error);
     if (status == TD_OK && !list.count) status = say_instead(d, image, target, error);
     if (status == TD_OK && list.count) {
         bool *stranger = calloc(list.count, sizeof *stranger);

@@ -16,9 +16,10 @@ bool td_tag_list_add(tag_list *list, const td_tag *tag);
 /* Side of a tag of the border, cells. */
 int td_tag_side(const tag_codes *codes, int border);
 
-/* tags_search.c: appends the tags of the border (0: of either), corners good to a pixel or two. */
+/* tags_search.c: appends the tags of the border (0: of either), corners good to a pixel or two. The search
+ * ends when there are `enough`. */
 td_status td_tags_search(tag_list *list, const td_image *image, const tag_codes *codes, int border,
-                         td_error *error);
+                         size_t enough, td_error *error);
 
 /* tags_read.c */
 /* Grey levels of a tag. */

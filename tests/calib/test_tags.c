@@ -78,7 +78,7 @@ static void test_random_views(void **state)
     static const double most[] = {0.05, 0.03, 0.07};
     for (int kind = 0; kind < 3; kind++) {
         tally t;
-        random_views(&t, kind, is_full() ? 200 : 6);
+        random_views(&t, kind, is_full() ? 200 : 4);
         double rms = sqrt(t.square / (2 * (double)t.corners)), z = sqrt(t.normal / (2 * (double)t.corners));
         print_message("%s: %zu of %zu tags, RMS %.4f px, RMS over sigma %.3f, worst %.3f px\n", name[kind],
                       t.whole, t.tags, rms, z, t.worst);
@@ -89,8 +89,8 @@ static void test_random_views(void **state)
     }
 }
 
-/* Without distortion, 25 exposures of one view of a board: error over sigma within 0.9 to 1.1, over 25 x 100
- * corners and more, whose ratio scatters by about 1 / sqrt(2 x 2 x 2500) = 1 %. */
+/* Without distortion, 12 exposures of one view of a board: error over sigma within 0.9 to 1.1, over 12 x 100
+ * corners and more, whose ratio scatters by about 1 / sqrt(2 x 2 x 1200) = 1.4 %. */
 static void check_sigma(const td_target *target, bool squares, double lean, double blur, double noise)
 {
     td_random random = td_random_seed(3, (uint64_t)(10 * blur));
@@ -107,7 +107,7 @@ static void check_sigma(const td_target *target, bool squares, double lean, doub
     s.noise = noise;
     s.fall = 0;
     float *light = tag_scene_light(&s);
-    for (int shot = 0; shot < 25; shot++) {
+    for (int shot = 0; shot < 12; shot++) {
         td_image *image = tag_scene_shoot(&s, light, &random);
         td_detection d;
         td_error error = {0};
@@ -120,7 +120,7 @@ static void check_sigma(const td_target *target, bool squares, double lean, doub
     double z = sqrt(t.normal / (2 * (double)t.corners));
     print_message("blur %.1f, noise %.0f: RMS %.4f px, over sigma %.3f, %zu corners\n", blur, noise,
                   sqrt(t.square / (2 * (double)t.corners)), z, t.corners);
-    assert_true(t.corners > 2500);
+    assert_true(t.corners > 1200);
     check_near(z, 1, 0.1);
 }
 
@@ -395,8 +395,8 @@ static void test_pose_is_ambiguous(void **state)
 /* ViSP's picture of twelve tags of 53 mm with its camera. The corners and poses beside it are ViSP's own,
  * made of libapriltag's corners, whose pixels are counted from half a pixel further left and up: fed with
  * those corners our poses equal them (0.5 mm, 0.1 degrees). From our own corners, moved by that half pixel,
- * all are within 1 degree and 4 mm, ten and more within 2 mm: corners of the two differ by up to 0.5 px on
- * glossy paper, and 0.4 px of a tag 58 px wide at 0.48 m are 3 mm. */
+ * all are within 1 degree and 3 mm, eleven of them within 2 mm: the corners of the two differ by 0.2 px and
+ * more on this glossy paper, and 0.3 px of a tag 58 px wide at 0.48 m are 2.5 mm. */
 static void compare_poses(FILE *corners, FILE *poses, const td_tag *tag)
 {
     const td_camera camera = {
@@ -428,14 +428,14 @@ static void compare_poses(FILE *corners, FILE *poses, const td_tag *tag)
             double mm = 1e3 * hypot(hypot(pose.t[0] - g[0], pose.t[1] - g[1]), pose.t[2] - g[2]);
             double degrees = td_pose_angle(&off) * 57.29577951;
             check_less(degrees, own ? 1 : 0.1);
-            check_less(mm, own ? 4 : 0.5);
+            check_less(mm, own ? 3 : 0.5);
             near += own && mm < 2;
             if (own) worst[0] = fmax(worst[0], mm), worst[1] = fmax(worst[1], degrees);
         }
     }
     print_message("12 tags: %d within 2 mm, worst %.2f mm, %.2f degrees\n", near, worst[0], worst[1]);
     assert_int_equal(lines, 12);
-    assert_true(near >= 10);
+    assert_true(near >= 11);
 }
 
 static void test_real_tags(void **state)
