@@ -10,6 +10,8 @@
 enum { LISTED = 8 }; /* numbers in a sentence, at most */
 
 static const char *const families[] = {"tag36h11", "tag25h9", "tag16h5"};
+/* How many tags say that a family is there: 16 bits are soon found in anything. */
+static const size_t needed[] = {1, 1, 4};
 enum { FAMILIES = sizeof families / sizeof *families };
 
 static const char *border_name(int border)
@@ -56,7 +58,7 @@ td_status td_tags_find(td_tag **tags, size_t *count, const td_image *image, cons
     if (border < 0 || border > 2)
         return td_fail(error, TD_ERROR_ARGUMENT, "border: is %d, but must be 1, 2 or 0 for either", border);
     TD_TRY(td_tag_codes(&codes, dictionary, error));
-    td_status status = td_tags_search(&list, image, &codes, border, error);
+    td_status status = td_tags_search(&list, image, &codes, border, SIZE_MAX, error);
     if (status == TD_OK) {
         for (size_t i = 0; i < list.count; i++) td_tag_measure(&list.tag[i], inflation, image, &codes, 0);
         inflate(list.tag, list.count, inflation);
@@ -76,7 +78,7 @@ static td_status look(tag_list *list, const td_image *image, const char *diction
 {
     tag_codes codes;
     TD_TRY(td_tag_codes(&codes, dictionary, error));
-    td_status status = td_tags_search(list, image, &codes, 0, error);
+    td_status status = td_tags_search(list, image, &codes, 0, SIZE_MAX, error);
     free(codes.code);
     return status;
 }
@@ -98,46 +100,70 @@ static td_status mirrored(td_image **mirror, const td_image *image, td_error *er
     return TD_OK;
 }
 
-/* No tag of the target's dictionary and border was read: says what there is. */
-static td_status say_instead(td_detection *d, const td_image *image, const td_target *target, td_error *error)
+static const char *plural(size_t n)
 {
-    const char *wanted = target->dictionary;
+    return n == 1 ? "" : "s";
+}
+
+static td_status say_other_border(td_detection *d, const td_image *image, const td_target *target,
+                                  td_error *error)
+{
+    tag_list list = {0};
+    td_status status = look(&list, image, target->dictionary, error);
+    const int border = of_border(&list, 1) ? 1 : 2;
+    const size_t n = of_border(&list, border);
+    if (status == TD_OK && n && border != target->border)
+        snprintf(d->reason, sizeof d->reason, "looked for %s with %s, saw %zu tag%s with %s: set border: %d",
+                 target->dictionary, border_name(target->border), n, plural(n), border_name(border), border);
+    free(list.tag);
+    return status;
+}
+
+static td_status say_mirrored(td_detection *d, const td_image *image, const td_target *target,
+                              td_error *error)
+{
     tag_list list = {0};
     td_image *mirror = NULL;
-    td_status status = look(&list, image, wanted, error);
-    if (status == TD_OK && list.count) {
-        int border = of_border(&list, 1) ? 1 : 2;
-        snprintf(d->reason, sizeof d->reason, "looked for %s with %s, saw %zu tag%s with %s: set border: %d",
-                 wanted, border_name(target->border), of_border(&list, border),
-                 of_border(&list, border) == 1 ? "" : "s", border_name(border), border);
-    }
-    for (int i = 0; i < FAMILIES && status == TD_OK && !d->reason[0]; i++) {
-        if (!strcmp(families[i], wanted)) continue;
-        status = look(&list, image, families[i], error);
-        if (status == TD_OK && list.count)
-            snprintf(d->reason, sizeof d->reason, "looked for %s, saw %zu tag%s of %s: set dictionary: %s%s",
-                     wanted, list.count, list.count == 1 ? "" : "s", families[i], families[i],
-                     of_border(&list, target->border) ? ""
-                     : of_border(&list, 1)            ? " and border: 1"
-                                                      : " and border: 2");
-    }
-    if (status == TD_OK && !d->reason[0]) status = mirrored(&mirror, image, error);
-    if (status == TD_OK && mirror) status = look(&list, mirror, wanted, error);
-    if (status == TD_OK && !d->reason[0] && list.count)
-        snprintf(
-            d->reason, sizeof d->reason,
-            "the image is mirrored: flipped left to right, it shows %zu tag%s of %s; switch the mirroring "
-            "off where it is recorded",
-            list.count, list.count == 1 ? "" : "s", wanted);
-    if (status == TD_OK && !d->reason[0])
-        snprintf(
-            d->reason, sizeof d->reason,
-            "looked for %s with %s, saw no tag; each must lie in the image as a whole, sharp, 3 px or more "
-            "to a cell, with light around it",
-            wanted, border_name(target->border));
+    TD_TRY(mirrored(&mirror, image, error));
+    td_status status = look(&list, mirror, target->dictionary, error);
+    if (status == TD_OK && list.count)
+        snprintf(d->reason, sizeof d->reason,
+                 "the image is mirrored: flipped left to right, it shows %zu tag%s of %s; switch the "
+                 "mirroring off where it is recorded",
+                 list.count, plural(list.count), target->dictionary);
     td_image_free(&mirror);
     free(list.tag);
     return status;
+}
+
+static td_status say_other_family(td_detection *d, const td_image *image, const td_target *target, int family,
+                                  td_error *error)
+{
+    tag_list list = {0};
+    if (!strcmp(families[family], target->dictionary)) return TD_OK;
+    td_status status = look(&list, image, families[family], error);
+    if (status == TD_OK && list.count >= needed[family])
+        snprintf(d->reason, sizeof d->reason, "looked for %s, saw %zu tag%s of %s: set dictionary: %s%s",
+                 target->dictionary, list.count, plural(list.count), families[family], families[family],
+                 of_border(&list, target->border) ? ""
+                 : of_border(&list, 1)            ? " and border: 1"
+                                                  : " and border: 2");
+    free(list.tag);
+    return status;
+}
+
+/* No tag of the target's dictionary and border was read: says what there is. */
+static td_status say_instead(td_detection *d, const td_image *image, const td_target *target, td_error *error)
+{
+    TD_TRY(say_other_border(d, image, target, error));
+    if (!d->reason[0]) TD_TRY(say_mirrored(d, image, target, error));
+    for (int i = 0; i < FAMILIES && !d->reason[0]; i++) TD_TRY(say_other_family(d, image, target, i, error));
+    if (!d->reason[0])
+        snprintf(d->reason, sizeof d->reason,
+                 "looked for %s with %s, saw no tag; each must lie in the image as a whole, sharp, 3 px or "
+                 "more to a cell, with light around it",
+                 target->dictionary, border_name(target->border));
+    return TD_OK;
 }
 
 /* "4, 7, 9": the numbers that are not on the target, each once. */
@@ -210,20 +236,15 @@ static int compare_doubles(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-/* Measures all corners of the tags that are seen and writes them down. */
+/* Writes down the corners of the tags that are seen. */
 static td_status fill(td_detection *d, tag_grid *g, td_error *error)
 {
-    const td_target *t = g->target;
-    const double gap = t->kind == TD_TARGET_APRILGRID ? t->plane[0].spacing_m / t->tag_size_m - 1 : 0;
-    double inflation[2] = {0}, *blur = malloc((size_t)g->tags * sizeof *blur);
+    double *blur = malloc((size_t)g->tags * sizeof *blur);
     size_t n = 0;
     if (!blur) return td_fail(error, TD_ERROR_MEMORY, "no memory for %d tags", g->tags);
     for (int i = 0; i < g->tags; i++)
-        if (g->seen[i]) {
-            td_tag_measure(&g->tag[i], inflation, g->image, g->codes, gap * td_tag_side(g->codes, t->border));
-            if (!isnan(g->tag[i].blur)) blur[n++] = g->tag[i].blur;
-        }
-    inflate(g->tag, (size_t)g->tags, inflation);
+        if (g->seen[i] && !isnan(g->tag[i].blur)) blur[n++] = g->tag[i].blur;
+    inflate(g->tag, (size_t)g->tags, g->inflation);
     int whole = 0;
     for (int i = 0; i < g->tags; i++) {
         int measured = 0;
@@ -241,7 +262,7 @@ static td_status fill(td_detection *d, tag_grid *g, td_error *error)
     if (!d->found)
         snprintf(d->reason, sizeof d->reason,
                  "tags of %s are read, but none has four corners that can be measured; come nearer, or focus",
-                 t->dictionary);
+                 g->target->dictionary);
     if (n) {
         qsort(blur, n, sizeof *blur, compare_doubles);
         d->blur_px = (blur[n / 2] + blur[(n - 1) / 2]) / 2;
@@ -251,16 +272,19 @@ static td_status fill(td_detection *d, tag_grid *g, td_error *error)
 }
 
 /* From the tags that were read to the points of the target. */
-static td_status assemble(td_detection *d, tag_grid *g, const tag_list *list, bool *stranger, td_error *error)
+static td_status assemble(td_detection *d, tag_grid *g, tag_list *list, bool *stranger, td_error *error)
 {
     const bool grid = g->target->kind == TD_TARGET_APRILGRID;
     int seen = 0, dropped = 0;
+    for (size_t i = 0; i < list->count; i++)
+        td_tag_measure(&list->tag[i], g->inflation, g->image, g->codes, g->outside);
     if (grid && td_tag_grid_is_other(d->reason, sizeof d->reason, g, list)) return TD_OK;
     sort_in(g, stranger, list);
     say_strangers(d, g, list, stranger);
     if (grid) {
         dropped = td_tag_grid_drop(g);
         td_tag_grid_grow(g);
+        td_tag_grid_mend(g);
     }
     for (int i = 0; i < g->tags; i++) seen += g->seen[i];
     if (dropped)
@@ -292,7 +316,12 @@ static td_status detect(td_detection *d, const td_image *image, const td_target 
     const int tags = td_target_tag_count(target);
     tag_list list = {0};
     tag_grid g = {.target = target, .image = image, .codes = codes, .tags = tags};
-    td_status status = td_tags_search(&list, image, codes, target->border, error);
+    if (target->kind == TD_TARGET_APRILGRID)
+        g.outside =
+            (target->plane[0].spacing_m / target->tag_size_m - 1) * td_tag_side(codes, target->border);
+    /* A grid grows from a few tags. */
+    const size_t enough = (size_t)(target->kind == TD_TARGET_APRILGRID ? (tags + 3) / 4 : tags);
+    td_status status = td_tags_search(&list, image, codes, target->border, enough, error);
     if (status == TD_OK && !list.count) status = say_instead(d, image, target, error);
     if (status == TD_OK && list.count) {
         bool *stranger = calloc(list.count, sizeof *stranger);

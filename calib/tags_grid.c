@@ -10,7 +10,7 @@ enum { MOST_NEAR = 6, NEAR_REACH = 3, LEAST_MEASURED = 3, MOST_COLUMNS = 40, ENO
 
 /* Of the spacing: how far corners lie off the homography of the right and of a wrong layout. A strong lens
  * bends a board by a tenth; the next tag is a whole spacing away. */
-static const double RIGHT_LAYOUT = 0.12, WRONG_LAYOUT = 0.25;
+static const double RIGHT_LAYOUT = 0.12, WRONG_LAYOUT = 0.25, STRAY = 0.5;
 
 int td_tag_grid_place(const td_target *target, int id)
 {
@@ -34,12 +34,14 @@ static void layout_corners(double xy[8], const td_target *target, int x, int y)
     memcpy(xy, corner, sizeof corner);
 }
 
-/* Largest distance of a tag's corners from where the homography has them, in spacings at that place. */
+/* Largest distance of a tag's measured corners from where the homography has them, in spacings at that place.
+ */
 static double misfit(const double h[9], const double xy[8], const td_tag *tag)
 {
     double worst = 0, at[4][2], next[2];
     for (int k = 0; k < 4; k++) {
         apply(at[k], h, xy + 2 * k);
+        if (!(tag->sigma[k] > 0)) continue;
         worst = fmax(worst, hypot(at[k][0] - tag->corner[2 * k], at[k][1] - tag->corner[2 * k + 1]));
     }
     const double aside[2] = {xy[0] + 1, xy[1]};
@@ -50,51 +52,76 @@ static double misfit(const double h[9], const double xy[8], const td_tag *tag)
 
 /* ---- growing ---- */
 
-/* Homography from the plane (spacings) by the tags nearest to a place; false when there is none near. */
-static bool near_homography(double h[9], const tag_grid *g, int place)
+/* Homography from the plane (spacings) by the measured corners of the tags nearest to a place, its own tag
+ * among them if `own`; false when there are none near. */
+static bool near_homography(double h[9], const tag_grid *g, int place, bool own)
 {
     const int columns = g->target->plane[0].columns, column = place % columns, row = place / columns;
-    double plane[8 * MOST_NEAR], image[8 * MOST_NEAR];
-    int n = 0;
-    for (int reach = 1; reach <= NEAR_REACH && n < MOST_NEAR; reach++)
-        for (int k = 0; k < g->tags && n < MOST_NEAR; k++) {
+    double plane[8 * MOST_NEAR], image[8 * MOST_NEAR], xy[8];
+    size_t n = 0;
+    int tags = 0;
+    for (int reach = own ? 0 : 1; reach <= NEAR_REACH && tags < MOST_NEAR; reach++)
+        for (int k = 0; k < g->tags && tags < MOST_NEAR; k++) {
             int away = abs(k % columns - column), down = abs(k / columns - row);
             if (!g->seen[k] || (away > down ? away : down) != reach) continue;
-            layout_corners(plane + 8 * n, g->target, k % columns, k / columns);
-            memcpy(image + 8 * n, g->tag[k].corner, sizeof g->tag[k].corner);
-            n++;
+            layout_corners(xy, g->target, k % columns, k / columns);
+            for (int c = 0; c < 4; c++) {
+                if (!(g->tag[k].sigma[c] > 0)) continue;
+                memcpy(plane + 2 * n, xy + 2 * c, 2 * sizeof *plane);
+                memcpy(image + 2 * n++, g->tag[k].corner + 2 * c, 2 * sizeof *image);
+            }
+            tags++;
         }
-    return n && td_homography(h, plane, image, 4 * (size_t)n, NULL) == TD_OK;
+    return n >= 4 && td_homography(h, plane, image, n, NULL) == TD_OK;
 }
 
-static bool try_place(tag_grid *g, int place, double outside)
+static int measured_corners(const td_tag *tag)
+{
+    int n = 0;
+    for (int k = 0; k < 4; k++) n += tag->sigma[k] > 0;
+    return n;
+}
+
+static bool try_place(tag_grid *g, int place)
 {
     double h[9], xy[8], inflation[2] = {0};
     tag_levels levels;
-    int measured = 0;
     const int columns = g->target->plane[0].columns;
-    if (!near_homography(h, g, place)) return false;
+    if (!near_homography(h, g, place, false)) return false;
     td_tag tag = {.id = td_target_tag_id(g->target, 4 * (size_t)place), .border = g->target->border};
     layout_corners(xy, g->target, place % columns, place / columns);
     for (int k = 0; k < 4; k++) apply(tag.corner + 2 * k, h, xy + 2 * k);
-    td_tag_measure(&tag, inflation, g->image, g->codes, outside);
-    for (int k = 0; k < 4; k++) measured += tag.sigma[k] > 0;
-    if (measured < LEAST_MEASURED || !td_tag_read(&levels, g->image, &tag, g->codes) ||
+    td_tag_measure(&tag, inflation, g->image, g->codes, g->outside);
+    if (measured_corners(&tag) < LEAST_MEASURED || !td_tag_read(&levels, g->image, &tag, g->codes) ||
         !td_tag_is_read(&levels, &tag, g->codes))
         return false;
     tag.wrong_bits = levels.wrong;
     g->tag[place] = tag;
+    for (int i = 0; i < 2; i++) g->inflation[i] += inflation[i];
     return true;
 }
 
 void td_tag_grid_grow(tag_grid *g)
 {
-    const double gap = g->target->plane[0].spacing_m / g->target->tag_size_m - 1,
-                 outside = gap * td_tag_side(g->codes, g->target->border);
     for (bool more = true; more;) {
         more = false;
         for (int k = 0; k < g->tags; k++)
-            if (!g->seen[k] && try_place(g, k, outside)) g->seen[k] = more = true;
+            if (!g->seen[k] && try_place(g, k)) g->seen[k] = more = true;
+    }
+}
+
+void td_tag_grid_mend(tag_grid *g)
+{
+    const int columns = g->target->plane[0].columns;
+    for (int k = 0; k < g->tags; k++) {
+        double h[9], xy[8], inflation[2] = {0};
+        if (!g->seen[k] || measured_corners(&g->tag[k]) == 4 || !near_homography(h, g, k, true)) continue;
+        td_tag tag = g->tag[k];
+        layout_corners(xy, g->target, k % columns, k / columns);
+        for (int c = 0; c < 4; c++)
+            if (!(tag.sigma[c] > 0)) apply(tag.corner + 2 * c, h, xy + 2 * c);
+        td_tag_measure(&tag, inflation, g->image, g->codes, g->outside);
+        if (measured_corners(&tag) > measured_corners(&g->tag[k])) g->tag[k] = tag;
     }
 }
 
@@ -106,12 +133,12 @@ int td_tag_grid_drop(tag_grid *g)
     int dropped = 0;
     for (;;) {
         int worst = -1;
-        double most = WRONG_LAYOUT, h[9], xy[8];
+        double most = STRAY, h[9], xy[8];
         for (int k = 0; k < g->tags; k++) {
             if (!g->seen[k]) continue;
             bool others;
             g->seen[k] = false; /* judged by the others */
-            others = near_homography(h, g, k);
+            others = near_homography(h, g, k, false);
             g->seen[k] = true;
             layout_corners(xy, g->target, k % columns, k / columns);
             double off = others ? misfit(h, xy, &g->tag[k]) : 0;

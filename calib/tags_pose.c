@@ -10,6 +10,8 @@
 
 enum { MOST_ITERATIONS = 50 };
 
+static const double SAME_POSE = 1e-3; /* rad */
+
 typedef struct problem {
     const td_camera *camera;
     double point[4][3];  /* tag frame, m */
@@ -123,6 +125,9 @@ bool td_tag_pose(td_pose *camera_from_tag, double *covariance, double *ratio, co
     pose[1] = other_pose(&pose[0]);
     there[1] = minimise(&pose[1], &cost[1], &p);
     if (!there[0] && !there[1]) return false;
+    td_pose inverse = td_pose_inverse(&pose[0]), apart = td_pose_compose(&pose[1], &inverse);
+    if (there[0] && there[1] && td_pose_angle(&apart) < SAME_POSE)
+        there[1] = false; /* there is one minimum */
     const int best = !there[0] || (there[1] && cost[1] < cost[0]);
     if (covariance && (!evaluate(&again, normal, gradient, &p, &pose[best]) ||
                        td_invert_spd(covariance, normal, 6, NULL) != TD_OK))

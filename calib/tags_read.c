@@ -4,10 +4,13 @@
 #include "calib/homography.h"
 #include "calib/tags_internal.h"
 
-static const double LEAST_CONTRAST = 8;   /* grey levels */
-static const double MOST_WRONG = 0.12;    /* of the cells */
-static const double UNKNOWN_OUTSIDE = 1;  /* cells of light around a tag, at least */
-static const double SQUARE_OUTSIDE = 1.5; /* cells of a touching square's side, at least */
+static const double LEAST_CONTRAST = 8;    /* grey levels */
+static const double MOST_WRONG = 0.12;     /* of the cells */
+static const double PLAIN_RESIDUAL = 0.06; /* of the contrast: a fit that needs no other beside it */
+static const double BETTER = 0.8;          /* by how much another fit must leave less */
+static const double NARROW_OUTSIDE = 0.5;  /* cells of light where another print is near */
+static const double UNKNOWN_OUTSIDE = 1;   /* cells of light around a tag, at least */
+static const double SQUARE_OUTSIDE = 1.5;  /* cells of a touching square's side, at least */
 
 /* From cells, counted from the tag's upper left, to pixels. */
 static bool tag_homography(double h[9], const td_tag *tag, int side)
@@ -69,6 +72,18 @@ bool td_tag_is_read(const tag_levels *levels, const td_tag *tag, const tag_codes
     return levels->light - levels->dark > LEAST_CONTRAST && levels->wrong <= MOST_WRONG * side * side;
 }
 
+bool td_tag_is_of_border(const td_image *image, const td_tag *tag, const tag_codes *codes)
+{
+    td_tag other = *tag;
+    tag_levels own, others;
+    const double cells = td_tag_side(codes, tag->border);
+    other.border = 3 - tag->border;
+    const double other_cells = td_tag_side(codes, other.border);
+    if (!td_tag_read(&own, image, tag, codes) || !td_tag_is_read(&own, tag, codes)) return false;
+    if (!td_tag_read(&others, image, &other, codes)) return true;
+    return own.wrong / (cells * cells) <= others.wrong / (other_cells * other_cells);
+}
+
 /* ---- corners ---- */
 
 /* The frame of corner k: a cell's length along the sides that begin there, by the homography's derivative. */
@@ -98,15 +113,30 @@ static bool is_touched(const td_image *image, const td_tag *tag, const tag_shape
     return td_image_sample(image, pixel[0], pixel[1], 0) < (levels->dark + levels->light) / 2;
 }
 
-static bool measure_corner(td_corner *corner, const td_image *image, const td_tag *tag, tag_shape *shape,
-                           int k, const tag_levels *levels, double outside)
+/* Fits the corner as it seems to be; where that leaves much unexplained, in other ways too, of which the one
+ * that leaves least is taken: another print may stand nearer than was thought, or only seem to touch. */
+static bool measure_corner(td_corner *best, const td_image *image, const td_tag *tag, tag_shape *shape, int k,
+                           const tag_levels *levels, double outside)
 {
-    shape->wedge = !is_touched(image, tag, shape, k, levels);
-    for (int trial = 0; trial < 2; trial++, shape->wedge = !shape->wedge) {
-        shape->outside = outside > 0 ? outside : shape->wedge ? UNKNOWN_OUTSIDE : SQUARE_OUTSIDE;
-        if (td_corner_refine_tag(corner, image, tag->corner + 2 * k, shape)) return true;
+    const bool wedge = !is_touched(image, tag, shape, k, levels);
+    const struct {
+        bool wedge;
+        double outside; /* cells, where it is not known */
+    } way[] = {{wedge, wedge ? UNKNOWN_OUTSIDE : SQUARE_OUTSIDE},
+               {!wedge, wedge ? SQUARE_OUTSIDE : UNKNOWN_OUTSIDE},
+               {true, NARROW_OUTSIDE}};
+    double least = INFINITY; /* of the contrast */
+    for (size_t i = 0; i < sizeof way / sizeof *way && least > PLAIN_RESIDUAL; i++) {
+        td_corner corner;
+        shape->wedge = way[i].wedge;
+        shape->outside = outside > 0 ? outside : way[i].outside;
+        if (!td_corner_refine_tag(&corner, image, tag->corner + 2 * k, shape)) continue;
+        double left = corner.residual / corner.contrast;
+        if (!(left < BETTER * least)) continue;
+        least = left;
+        *best = corner;
     }
-    return false;
+    return isfinite(least);
 }
 
 static double median_of_four(const double x[4], int n)
@@ -133,7 +163,7 @@ void td_tag_measure(td_tag *tag, double inflation[2], const td_image *image, con
     if (!td_tag_read(&levels, image, tag, codes) || !tag_homography(h, tag, side)) return;
     for (int k = 0; k < 8; k++) position[k] = tag->corner[k];
     for (int k = 0; k < 4; k++) {
-        td_corner corner;
+        td_corner corner = {0};
         tag_shape shape = {.side = side, .inside = tag->border};
         corner_frame(&shape, h, side, k);
         if (!measure_corner(&corner, image, tag, &shape, k, &levels, outside)) continue;

@@ -151,7 +151,6 @@ static bool detect(tag_list *list, apriltag_detector_t *detector, uint8_t *pixel
     bool enough = true;
     for (int i = 0; found && i < zarray_size(found); i++) {
         apriltag_detection_t *d;
-        tag_levels levels;
         zarray_get(found, i, &d);
         td_tag tag = {.id = d->id, .border = (d->family->width_at_border - codes->side) / 2};
         for (int k = 0; k < 4; k++) { /* libapriltag begins at the lower left and goes round the other way */
@@ -159,8 +158,7 @@ static bool detect(tag_list *list, apriltag_detector_t *detector, uint8_t *pixel
             tag.corner[2 * k + 1] = d->p[3 - k][1] - PIXEL_CENTRE;
         }
         if (widened) move_sides_out(tag.corner, widened);
-        if (!is_known(list, &tag) && td_tag_read(&levels, grey, &tag, codes) &&
-            td_tag_is_read(&levels, &tag, codes)) {
+        if (!is_known(list, &tag) && td_tag_is_of_border(grey, &tag, codes)) {
             tag.wrong_bits = d->hamming;
             enough = enough && td_tag_list_add(list, &tag);
         }
@@ -171,12 +169,12 @@ static bool detect(tag_list *list, apriltag_detector_t *detector, uint8_t *pixel
 
 /* `work` has room for two images. */
 static bool search(tag_list *list, const td_image *image, const tag_codes *codes,
-                   apriltag_detector_t *detector, uint8_t *work)
+                   apriltag_detector_t *detector, uint8_t *work, size_t enough)
 {
     const size_t pixels = (size_t)image->width * (size_t)image->height;
     uint8_t *now = work, *before = work + pixels;
     memcpy(now, image->data, pixels);
-    for (int widened = 0; widened <= MOST_WIDENED; widened++) {
+    for (int widened = 0; widened <= MOST_WIDENED && list->count < enough; widened++) {
         if (widened) {
             uint8_t *swap = before;
             before = now;
@@ -189,7 +187,7 @@ static bool search(tag_list *list, const td_image *image, const tag_codes *codes
 }
 
 td_status td_tags_search(tag_list *list, const td_image *image, const tag_codes *codes, int border,
-                         td_error *error)
+                         size_t enough, td_error *error)
 {
     char name[2][8] = {"border1", "border2"};
     apriltag_family_t family[2] = {{0}};
@@ -206,7 +204,7 @@ td_status td_tags_search(tag_list *list, const td_image *image, const tag_codes 
     if (ok) {
         detector->nthreads = 1;
         detector->quad_decimate = 1;
-        ok = search(list, image, codes, detector, work);
+        ok = search(list, image, codes, detector, work, enough);
     }
     for (int k = 0; k < 2; k++) {
         if (detector && family[k].impl) apriltag_detector_remove_family(detector, &family[k]);

@@ -139,5 +139,6 @@ int main(int argc, char **argv)
     bench_calibrate(&b);
     bench_charuco(&b);
     bench_next_view(&b);
+    bench_tags(&b);
     return 0;
 }

@@ -67,6 +67,19 @@ typedef struct bench_corners {
 } bench_corners;
 void bench_opencv_corners(void *corners);
 
+/* bench_tags.c */
+void bench_tags(const bench *b);
+
+/* bench_tags_opencv.cpp: the tags of a view; refinement 1: AprilTag's edges, 0: cornerSubPix. */
+typedef struct bench_tags_view {
+    const unsigned char *image; /* (height,width) grey */
+    int width, height, border, refinement;
+    int *id;        /* out (capacity) */
+    double *corner; /* out (capacity,4,2) px */
+    int capacity, count;
+} bench_tags_view;
+void bench_opencv_tags(bench_tags_view *view);
+
 #ifdef __cplusplus
 }
 #endif

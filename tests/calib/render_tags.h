@@ -152,21 +152,33 @@ static inline void tag_scene_blur(float *light, int w, int h, double blur)
 {
     float kernel[41], sum = 0, *turned = malloc(sizeof *turned * (size_t)w * (size_t)h);
     const int reach = (int)fmin(20, ceil(4 * blur));
-    for (int k = -reach; k <= reach; k++) sum += kernel[k + reach] = (float)exp(-0.5 * k * k / (blur * blur));
+    for (int k = -reach; k <= reach; k++) {
+        const double scale = sqrt(0.5) / blur; /* of a pixel's width, too */
+        sum += kernel[k + reach] = (float)(erf((k + 0.5) * scale) - erf((k - 0.5) * scale));
+    }
     for (int k = 0; k <= 2 * reach; k++) kernel[k] /= sum;
     tag_scene_filter(turned, light, w, h, kernel, reach);
     tag_scene_filter(light, turned, h, w, kernel, reach);
     free(turned);
 }
 
-static inline td_image *tag_scene_render(tag_scene *s, td_random *random)
+/* The blurred light of every pixel (h,w), to be freed with free(); NULL: a tag that there is not. */
+static inline float *tag_scene_light(tag_scene *s)
 {
-    td_image *image = NULL;
     const int w = s->camera.width, h = s->camera.height;
-    if (!tag_scene_prepare(s) || td_image_new(&image, w, h, 1, NULL) != TD_OK) return NULL;
+    if (!tag_scene_prepare(s)) return NULL;
     float *light = malloc(sizeof *light * (size_t)w * (size_t)h);
     tag_scene_expose(light, s);
     if (s->blur > 0) tag_scene_blur(light, w, h, s->blur);
+    return light;
+}
+
+/* One exposure of the light. */
+static inline td_image *tag_scene_shoot(const tag_scene *s, const float *light, td_random *random)
+{
+    td_image *image = NULL;
+    const int w = s->camera.width, h = s->camera.height;
+    if (!light || td_image_new(&image, w, h, 1, NULL) != TD_OK) return NULL;
     for (int y = 0; y < h; y++)
         for (int x = 0; x < w; x++) {
             const size_t at = (size_t)y * (size_t)w + (size_t)x;
@@ -174,6 +186,13 @@ static inline td_image *tag_scene_render(tag_scene *s, td_random *random)
             grey = grey * (1 - s->fall * x / w) + s->noise * td_random_normal(random);
             image->data[at] = (uint8_t)fmin(255, fmax(0, floor(grey + 0.5)));
         }
+    return image;
+}
+
+static inline td_image *tag_scene_render(tag_scene *s, td_random *random)
+{
+    float *light = tag_scene_light(s);
+    td_image *image = tag_scene_shoot(s, light, random);
     free(light);
     return image;
 }
@@ -228,11 +247,11 @@ static inline tag_scene tag_scene_random(const td_target *target, bool squares, 
 {
     tag_scene s = {.target = *target, .squares = squares};
     const double focal = tag_scene_between(random, 380, 700);
-    const double bend = -0.28 * (700 - focal) / 320;
+    const double bend = -0.2 * (700 - focal) / 320;
     s.camera = (td_camera){TD_CAMERA_BROWN5,
                            640,
                            480,
-                           {focal, focal * 1.002, 321.3, 238.4, bend, 0.07 * -bend, 0.0004, -0.0006, 0}};
+                           {focal, focal * 1.002, 321.3, 238.4, bend, 0.2 * -bend, 0.0004, -0.0006, 0}};
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
     for (size_t i = 0; i < td_target_point_count(target); i++) {
         double p[3];

@@ -87,9 +87,8 @@ static double bias(const tally *t)
 
 /* ---- Tests ---- */
 
-static void derivatives_are_those_of_the_model(void **state)
+static void check_derivatives(bool wedge)
 {
-    (void)state;
     const double at[CORNER_PARAMETERS] = {0.3, -0.2, 0.4, 2.1, 1.3, 110, 70, 0.4, -0.3};
     const double step[CORNER_PARAMETERS] = {0.02, 0.02, 0.002, 0.002, 0.02, 1, 1, 0.1, 0.1};
     corner_window *w = calloc(3, sizeof *w);
@@ -100,6 +99,7 @@ static void derivatives_are_those_of_the_model(void **state)
             w->derivative[CORNER_SLOPE_X][w->count] = (float)x;
             w->derivative[CORNER_SLOPE_Y][w->count++] = (float)y;
         }
+    w[0].wedge = wedge;
     w[1] = w[2] = w[0];
     td_corner_model(&w[0], at);
     bool identical = true;
@@ -118,6 +118,13 @@ static void derivatives_are_those_of_the_model(void **state)
     }
     assert_false(identical);
     free(w);
+}
+
+static void derivatives_are_those_of_the_model(void **state)
+{
+    (void)state;
+    check_derivatives(false);
+    check_derivatives(true);
 }
 
 static void no_bias_without_noise(void **state)
