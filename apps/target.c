@@ -69,8 +69,9 @@ static cli_option options[] = {
      "needed",
      0, 0, NULL},
     {CLI_REAL, "margin-mm", 0, &margin_mm, "MM",
-     "white around the target; default: what detectors need, half a square or a quarter of a tag", 0, 1000,
-     NULL},
+     "white around the target; never less than detectors need, the default: half a square or a quarter of a "
+     "tag",
+     0, 1000, NULL},
     {CLI_REAL, "dpi", 0, &dpi, "N", "of a PNG; default: 600", 10, 4800, NULL},
     {CLI_STRING, "measured", 0, &measured, "READING/LENGTH",
      "what the printed rulers measure over what they say, to correct a printer's scale: 200.3/200, or across "
@@ -378,11 +379,11 @@ static td_status refuse_size(sheet *s, double length, td_error *error)
                  with ? " (" : "; without rulers and text ", with ? "without rulers and text" : lead,
                  without);
     if (without > with && with) strncat(hint, ")", sizeof hint - strlen(hint) - 1);
-    return td_fail(error, TD_ERROR_ARGUMENT,
-                   "%s needs %.0f x %.0f mm with its margin%s%s, more than the page of %.0f x %.0f mm%s",
-                   td_target_describe(what, sizeof what, &s->target), ceil(size[0] * MM), ceil(size[1] * MM),
-                   bare.ruler ? ", rulers" : "", bare.text ? ", text" : "", s->page[0] * MM, s->page[1] * MM,
-                   hint);
+    return td_fail(
+        error, TD_ERROR_ARGUMENT,
+        "%s needs %.0f x %.0f mm with its margin%s%s, more than the page of %.0f x %.0f mm, either way up%s",
+        td_target_describe(what, sizeof what, &s->target), ceil(size[0] * MM), ceil(size[1] * MM),
+        bare.ruler ? ", rulers" : "", bare.text ? ", text" : "", s->page[0] * MM, s->page[1] * MM, hint);
 }
 
 /* Sizes the target and turns the page. */

@@ -152,11 +152,6 @@ static td_status begin(layout *l, const td_target *target, int plane,
         return td_fail(error, TD_ERROR_ARGUMENT, "plane: is %d, but the target's last is %d", plane,
                        planes - 1);
     td_pattern_measure(&l->box, target, plane);
-    const double margin = l->options.margin_m * MM;
-    if (margin > 0 && margin < l->box.quiet - SLACK)
-        return td_fail(error, TD_ERROR_ARGUMENT,
-                       "margin_m: is %g metres, but detectors need %g metres of white around this target",
-                       l->options.margin_m, l->box.quiet / MM);
     return TD_OK;
 }
 

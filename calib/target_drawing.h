@@ -14,8 +14,8 @@ extern "C" {
 
 typedef struct td_target_drawing_options {
     double page_width_m, page_height_m; /* both 0 (default): as large as the target needs */
-    double margin_m;      /* white around the target; 0 (default): what detectors need, half a square or
-                             spacing, a quarter of a tag; less is refused */
+    double margin_m; /* white around the target; never less than detectors need, which is the default (0):
+                        half a square or spacing, a quarter of a tag */
     double dots_per_inch; /* of an image; default 600. Rounded to whole pixels per metre, as PNG keeps it */
     double printer_scale[2]; /* measured over nominal, along x and y; the drawing is divided by it; 1 */
     bool ruler, text;        /* default true */

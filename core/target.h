@@ -64,7 +64,7 @@ typedef struct td_target {
     double tag_size_m;                   /* side of the black square, its border included; tags: 0 */
     int first_id;                        /* aprilgrid, charuco: number of the first tag */
     td_tag_order order;                  /* aprilgrid */
-    bool legacy;                         /* charuco: OpenCV before 4.7, whose boards with an even number of
+    bool legacy;                         /* charuco: OpenCV before 4.6, whose boards with an even number of
                                             rows of squares begin with a marker at the upper left */
     int tag_count;                       /* tags */
     td_target_tag tag[TD_TARGET_MAX_TAGS];

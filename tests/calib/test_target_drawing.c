@@ -370,7 +370,7 @@ static void faults_are_named(void **state)
     td_error error;
 #define REFUSED(words)                                                                                       \
     check_fails(td_target_render(&image, a, &t, 0, &o, &error), TD_ERROR_ARGUMENT, error, words)
-    o.margin_m = 0.01;
+    o.margin_m = -0.01;
     REFUSED("margin_m");
     o = td_target_drawing_options_default(), o.printer_scale[1] = 2;
     REFUSED("printer_scale[1]");
