@@ -239,6 +239,34 @@ static void test_fit_is_the_least(void **state)
     td_rig_free(&back);
 }
 
+/* ViSP's kdu is the one coefficient for the way back: r_d (1 + kdu r_d^2) nearest to r over the image's disc,
+ * each ring by its circumference. Another kdu is worse. */
+static void test_inverse_coefficient(void **state)
+{
+    (void)state;
+    td_error error = {0};
+    td_rig *rig = td_rig_new();
+    rig->count = 1;
+    rig->camera[0] = (td_rig_camera){.name = "a", .camera_from_rig = td_pose_identity()};
+    rig->camera[0].camera =
+        (td_camera){TD_CAMERA_BROWN5, 640, 480, {600, 600, 319.5, 239.5, -0.15, 0, 0, 0, 0}};
+    char *text = NULL;
+    check_ok(td_rig_export_text(&text, rig, 0, TD_RIG_VISP, false, NULL, &error), error);
+    const double kdu = strtod(strstr(text, "<kdu>") + 5, NULL), corner = hypot(320, 240) / 600;
+    double sum[3] = {0};
+    for (int k = 0; k < 3; k++)
+        for (int i = 1; i <= 1000; i++) {
+            double rd = corner * i / 1000, r = rd; /* r (1 + kud r^2) = rd by Newton's method */
+            for (int n = 0; n < 20; n++) r -= (r * (1 - 0.15 * r * r) - rd) / (1 - 0.45 * r * r);
+            sum[k] += rd * pow(rd + kdu * (1 + 0.02 * (k == 2) - 0.02 * (k == 1)) * rd * rd * rd - r, 2);
+        }
+    check_less(0.15, kdu);
+    check_less(sum[0], sum[1]);
+    check_less(sum[0], sum[2]);
+    free(text);
+    td_rig_free(&rig);
+}
+
 /* Beyond 90 degrees no perspective model follows. */
 static void test_wide_fisheye_is_refused(void **state)
 {
@@ -503,6 +531,8 @@ static void test_bad_files(void **state)
                   "R: is no rotation matrix");
     check_refused(TD_RIG_OPENCV, "<?xml version=\"1.0\"?><!DOCTYPE a [<!ENTITY b \"c\">]><opencv_storage/>",
                   "document types");
+    check_refused(TD_RIG_VISP, "<?xml version=\"1.0\"?><!DOCTYPE a SYSTEM \"file:///etc/hostname\"><root/>",
+                  "document types");
     check_refused(TD_RIG_OPENCV, "<opencv_storage><M1>", "is not valid XML");
     check_refused(TD_RIG_OPENCV, "<opencv><M1>1</M1></opencv>", "the root element is <opencv>");
     check_refused(TD_RIG_ROS, ROS_HEAD, "distortion_coefficients: is missing");
@@ -644,6 +674,7 @@ int main(void)
         cmocka_unit_test(test_parts_of_models_are_exact),
         cmocka_unit_test(test_approximations_tell_their_error),
         cmocka_unit_test(test_fit_is_the_least),
+        cmocka_unit_test(test_inverse_coefficient),
         cmocka_unit_test(test_wide_fisheye_is_refused),
         cmocka_unit_test(test_directions),
         cmocka_unit_test(test_ros_rectification),
