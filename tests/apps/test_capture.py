@@ -31,6 +31,8 @@ from common import PROGRAM, SANITIZED, check, fault_of_sentence, finish, run, sh
 
 EXAMPLES = "/usr/share/doc/opencv-doc/examples/data"
 BOARD = "chessboard 9x6 25mm"
+if SANITIZED:  # AddressSanitizer's dlopen does not see the program's own RUNPATH.
+    os.environ["LD_LIBRARY_PATH"] = os.path.join(os.path.dirname(os.path.dirname(PROGRAM)), "lib")
 
 
 def grey(value, size=(48, 36)):
