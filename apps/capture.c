@@ -357,8 +357,10 @@ static void note(job *j, const td_frame *frame, double skew_s)
     capture_tally *t = &j->tally;
     count_dropped(j, frame[0].time_s);
     j->fresh = true;
-    if (!t->seen) t->first_s = frame[0].time_s;
-    t->last_s = frame[0].time_s;
+    /* A file's last change tells when it was written, or copied: no rate. */
+    const double time_s = td_source_kind_of(j->source[0]) == TD_SOURCE_FOLDER ? NAN : frame[0].time_s;
+    if (!t->seen) t->first_s = time_s;
+    t->last_s = time_s;
     t->seen++;
     if (isfinite(skew_s) && j->count > 1) {
         t->skews++;
