@@ -35,7 +35,7 @@ static cli_option options[] = {
     {CLI_INT, "count", 0, &count_wanted, "N", "end when so many are stored", 1, 1000000, NULL},
     {CLI_REAL, "duration", 0, &duration_s, "S", "end after so many seconds", 0, 1e7, NULL},
     {CLI_REAL, "idle", 0, &idle_s, "S",
-     "end when no image came for so many seconds (a folder never ends by itself)", 0, 1e7, NULL},
+     "end when no image came for so many seconds (a folder never ends by itself)", 0.05, 1e7, NULL},
     {CLI_STRING, "store", 0, &store, "WHAT",
      "all (default): every image; keys: those for which space, enter or the page's button is pressed", 0, 0,
      stores},
