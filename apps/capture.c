@@ -36,7 +36,7 @@ static cli_option options[] = {
     {CLI_INT, "count", 0, &count_wanted, "N", "end when so many are stored", 1, 1000000, NULL},
     {CLI_REAL, "duration", 0, &duration_s, "S", "end after so many seconds", 0, 1e7, NULL},
     {CLI_REAL, "idle", 0, &idle_s, "S",
-     "end when no image came for so many seconds (a folder never ends by itself)", 0, 1e7, NULL},
+     "end when no image came for so many seconds (a folder never ends by itself)", 0.05, 1e7, NULL},
     {CLI_STRING, "store", 0, &store, "WHAT",
      "all (default): every image; keys: those for which space, enter or the page's button is pressed", 0, 0,
      stores},
@@ -358,8 +358,10 @@ static void note(job *j, const td_frame *frame, double skew_s)
     capture_tally *t = &j->tally;
     count_dropped(j, frame[0].time_s);
     j->fresh = true;
-    if (!t->seen) t->first_s = frame[0].time_s;
-    t->last_s = frame[0].time_s;
+    /* A file's last change tells when it was written, or copied: no rate. */
+    const double time_s = td_source_kind_of(j->source[0]) == TD_SOURCE_FOLDER ? NAN : frame[0].time_s;
+    if (!t->seen) t->first_s = time_s;
+    t->last_s = time_s;
     t->seen++;
     if (isfinite(skew_s) && j->count > 1) {
         t->skews++;

@@ -87,8 +87,8 @@ static td_status look(folder *f, td_error *error)
         if (!name) status = out_of_memory(f, error);
     }
     closedir(stream);
-    qsort(f->name + known, f->count - known, sizeof *f->name, by_nature);
     if (f->count > known) {
+        qsort(f->name + known, f->count - known, sizeof *f->name, by_nature);
         memcpy(f->known + known, f->name + known, (f->count - known) * sizeof *f->known);
         qsort(f->known, f->count, sizeof *f->known, by_bytes);
     }

@@ -51,7 +51,10 @@ try {
     Quiet quiet;
     silence_ffmpeg();
     auto made = std::make_unique<Video>();
-    if (!made->capture.open(path, camera ? cv::CAP_V4L2 : cv::CAP_ANY)) return false;
+    // Not CAP_ANY: its backends would look for USB cameras of the file's name.
+    if (!made->capture.open(path, camera ? cv::CAP_V4L2 : cv::CAP_FFMPEG) &&
+        (camera || !made->capture.open(path, cv::CAP_OPENCV_MJPEG)))
+        return false;
     if (camera && width > 0) {
         made->capture.set(cv::CAP_PROP_FRAME_WIDTH, width);
         made->capture.set(cv::CAP_PROP_FRAME_HEIGHT, height);
