@@ -11,6 +11,8 @@ static const struct {
     const char *name, *summary;
 } commands[] = {
     {"calibrate", "calibrate cameras and their relative poses from images of a target"},
+    {"check", "check a rig against new images, without solving for it"},
+    {"compare", "compare two rigs: difference over the images, with its significance"},
     {"rectify", "turn stereo pairs so that rows match rows"},
 };
 enum { COMMAND_COUNT = sizeof commands / sizeof *commands };
