@@ -12,6 +12,8 @@ static const struct {
 } commands[] = {
     {"calibrate", "calibrate cameras and their relative poses from images of a target"},
     {"capture", "take images from cameras, videos or folders into a dataset"},
+    {"check", "check a rig against new images, without solving for it"},
+    {"compare", "compare two rigs: difference over the images, with its significance"},
     {"rectify", "turn stereo pairs so that rows match rows"},
     {"convert", "turn a rig into the files of another tool, or those into a rig"},
     {"target", "print a calibration target at true scale"},

@@ -169,6 +169,17 @@ static void expected_square(double *noise, double *by_rig, const td_drift_row *r
             for (size_t k = 0; k < n; k++) *by_rig += j[e * n + i] * covariance[i * n + k] * j[e * n + k];
 }
 
+static void fill_residuals(double *out, const td_bundle *b)
+{
+    size_t points = td_target_point_count(&b->observations->target), cameras = (size_t)b->rig->count;
+    for (size_t i = 0; i < td_bundle_index(b, b->observations->view_count, 0, 0); i++) {
+        double r[2] = {NAN, NAN};
+        if (b->used[i])
+            td_bundle_residual(r, b, i / points / cameras, (int)(i / points % cameras), i % points);
+        memcpy(out + 2 * i, r, sizeof r);
+    }
+}
+
 static td_status measure_cameras(td_drift *drift, const td_drift_views *views, const td_rig *rig,
                                  td_error *error)
 {
@@ -247,6 +258,7 @@ static td_status measure(td_drift *drift, td_drift_views *views, const td_rig *r
     cause best = {0};
     TD_TRY(td_drift_views_settle(views, options, error));
     TD_TRY(measure_cameras(drift, views, rig, error));
+    if (options->residual) fill_residuals(options->residual, &views->bundle);
     for (int c = 0; c < rig->count; c++) {
         td_status status = judge(&drift->camera[c].p_value, &test, views, rig, 1u << c, options, error);
         td_gradient_test_free(&test);

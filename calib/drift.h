@@ -11,16 +11,16 @@ extern "C" {
 
 typedef struct td_drift_camera {
     size_t views, points;
-    double rms_px;       /* residuals of the views' own poses */
-    double noise_px;     /* what the points' noise alone gives */
-    double predicted_px; /* noise and the rig's covariance together */
+    double rms_px;       /* sqrt(sum |r|^2 / points), every view at its own pose */
+    double noise_px;     /* the same as the points' noise alone would give it */
+    double predicted_px; /* noise and the rig's covariance together; NaN without covariance */
     double p_value;      /* of residuals this large were the rig unchanged; NaN without covariance */
 } td_drift_camera;
 
 typedef struct td_drift_pair {
     int first, second;
     size_t views, points;
-    double epipolar_px, predicted_epipolar_px; /* RMS distance from the epipolar line, one image */
+    double epipolar_px, predicted_epipolar_px; /* RMS distance from the epipolar line in the second image */
     double vertical_px, sigma_vertical_px;     /* its mean with sign: what a turned camera shows first */
     double scale_error, sigma_scale_error;     /* of the triangulated target; fraction */
     double p_value;
@@ -39,15 +39,18 @@ typedef struct td_drift {
 } td_drift;
 
 typedef struct td_drift_options {
-    double p_limit;  /* default 1e-3 */
-    double noise_px; /* of the points; 0: from the residuals that no rig can explain */
-    int threads;
+    double p_limit;   /* default 1e-3 */
+    double noise_px;  /* of every coordinate; 0: the points' own sigmas and, common to a camera, what the
+                         residuals that no rig can explain show beside them */
+    double *residual; /* out: (views, cameras of the rig, points, 2) px, projected minus seen; NaN: not seen
+                         or left out; NULL: not wanted */
     const td_progress *progress;
-    const td_log *log;
 } td_drift_options;
 
 TD_API td_drift_options td_drift_options_default(void);
-/* Cameras are matched by name; the observations' outliers are taken care of. */
+/* Cameras are matched by name. Outlying points and views are left out, judged by what remains when the rig
+ * may follow the views. A bulge of the board is fitted along with the poses. The views must not be those that
+ * the rig was calibrated from: their errors are in the rig too, and it would pass too easily. */
 TD_API td_status td_drift_measure(td_drift *drift, const td_rig *rig, const td_observations *observations,
                                   const td_drift_options *options, td_error *error);
 

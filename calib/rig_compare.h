@@ -12,15 +12,18 @@ extern "C" {
 enum { TD_COMPARE_COLUMNS = 24, TD_COMPARE_ROWS = 18 };
 
 /* The difference of one camera's projections after the best common rotation and translation of its frame
- * (mrcal's "projection diff": what a camera's intrinsics mean is fixed only up to those). */
+ * (mrcal's "projection diff": what a camera's intrinsics mean is fixed only up to those; at infinity rotation
+ * only). Where both covariances are known each part of the image counts by how well it is known. */
 typedef struct td_compared_camera {
     char name[TD_NAME_SIZE];
     double distance_m;                                             /* at which it is measured */
     double difference_px[TD_COMPARE_ROWS * TD_COMPARE_COLUMNS][2]; /* b minus a; NaN: no ray */
-    double rms_px, most_px, rms_mm;                                /* mm: at distance_m */
-    double rotation_rad[3], translation_m[3];                      /* a_from_b of the camera's frame */
-    double sigma_px; /* predicted RMS of the difference from both covariances; NaN: unknown */
-    double chi2, p_value;
+    double expected_px[TD_COMPARE_ROWS *
+                       TD_COMPARE_COLUMNS];   /* RMS length, from both covariances; NaN: unknown */
+    double rms_px, most_px, rms_mm;           /* mm: at distance_m; NaN at infinity */
+    double rotation_rad[3], translation_m[3]; /* a_from_b of the camera's frame */
+    double sigma_px;      /* predicted RMS of the difference from both covariances; NaN: unknown */
+    double chi2, p_value; /* of the lens parameters (of the projections, where models differ) */
     int degrees;
 } td_compared_camera;
 
@@ -44,7 +47,9 @@ typedef struct td_rig_compare {
 } td_rig_compare;
 
 /* Cameras are matched by name (by order when no name is shared). distance_m: the working distance, > 0 or
- * INFINITY. Models may differ. The covariances are taken to be independent. */
+ * INFINITY. The covariances are taken to be independent. Where all models are equal, p_value is that of the
+ * difference of all parameters, joint, in the directions that have a variance; where they differ, of all
+ * projections together with how the cameras' frames that explain them best stand to each other. */
 TD_API td_status td_rig_compare_run(td_rig_compare *compare, const td_rig *a, const td_rig *b,
                                     double distance_m, double p_limit, td_error *error);
 
