@@ -8,7 +8,6 @@
 #include <apriltag/tag36h11.h>
 
 #include "calib/tag_dictionary_internal.h"
-#include "core/text_internal.h"
 
 enum { MOST_BORDER = 2, MOST_BITS = 8 };
 
@@ -89,11 +88,10 @@ static bool aruco_codes(tag_codes *codes, const dictionary *d)
 
 static td_status no_dictionary(const char *name, td_error *error)
 {
-    char shown[TD_SHOWN_SIZE];
     return td_fail(error, TD_ERROR_ARGUMENT,
                    "dictionary: there is no '%s'; there are tag36h11, tag25h9, tag16h5, aruco4x4_50 to "
                    "aruco7x7_1000 and aruco_original",
-                   td_text_shown(shown, name));
+                   name);
 }
 
 td_status td_tag_codes(tag_codes *codes, const char *name, td_error *error)

@@ -1,6 +1,7 @@
 // The wall around Ceres: builds its problem from ours and runs it. Everything else is in least_squares.c.
 #include "core/least_squares_internal.h"
 
+#include <algorithm>
 #include <cstring>
 #include <exception>
 #include <memory>
@@ -113,19 +114,28 @@ td_status solve(td_problem &problem, td_solve_summary &summary, const td_solve_o
                 td_error *error)
 {
     FLAGS_minloglevel = google::GLOG_FATAL; // Ceres speaks through its summary, not on stderr
+    // Ceres orders blocks by their address: copies in the order of the blocks make its sums, and so the last
+    // bits of the result, the same wherever the caller's values lie.
+    std::vector<double> store;
+    std::vector<size_t> first;
+    for (size_t i = 0; i < problem.block_count; i++) {
+        first.push_back(store.size());
+        store.insert(store.end(), problem.block[i].value, problem.block[i].value + problem.block[i].size);
+    }
     ceres::Problem ceres_problem;
     auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
     size_t shared = 0, locals = 0;
     for (size_t i = 0; i < problem.block_count; i++) {
-        td_block &block = problem.block[i];
-        ceres_problem.AddParameterBlock(block.value, block.size);
+        const td_block &block = problem.block[i];
+        double *value = store.data() + first[i];
+        ceres_problem.AddParameterBlock(value, block.size);
         if (block.held) {
-            ceres_problem.SetParameterBlockConstant(block.value);
+            ceres_problem.SetParameterBlockConstant(value);
             continue;
         }
         if (block.manifold == TD_POSE || block.held_components)
-            ceres_problem.SetManifold(block.value, new TangentManifold(block));
-        ordering->AddElementToGroup(block.value, block.local ? 0 : 1);
+            ceres_problem.SetManifold(value, new TangentManifold(block));
+        ordering->AddElementToGroup(value, block.local ? 0 : 1);
         for (int k = 0; k < block.tangent; k++) summary.parameters += td_block_component_free(&block, k);
         (block.local ? locals : shared)++;
     }
@@ -135,7 +145,7 @@ td_status solve(td_problem &problem, td_solve_summary &summary, const td_solve_o
         if (all_held(problem, residual)) continue;
         std::vector<double *> values;
         for (int k = 0; k < residual.block_count; k++)
-            values.push_back(problem.block[residual.block[k]].value);
+            values.push_back(store.data() + first[residual.block[k]]);
         ceres_problem.AddResidualBlock(new Residual(problem, residual), nullptr, values);
     }
 
@@ -155,6 +165,8 @@ td_status solve(td_problem &problem, td_solve_summary &summary, const td_solve_o
 
     ceres::Solver::Summary report;
     ceres::Solve(ceres_options, &ceres_problem, &report);
+    for (size_t i = 0; i < problem.block_count; i++)
+        std::copy_n(store.data() + first[i], problem.block[i].size, problem.block[i].value);
     summary.converged = report.termination_type == ceres::CONVERGENCE;
     summary.iterations = static_cast<int>(report.iterations.size());
     summary.initial_cost = report.initial_cost;

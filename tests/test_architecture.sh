@@ -19,6 +19,8 @@ for wing in $wings; do
 done
 found=$(grep -rnE '#include *["<](\.\./)?(teledimos/)?(calib|recon|servo|sim|apps)/' core --include='*.[ch]' --include='*.cpp' || true)
 [ -z "$found" ] || complain "core/ includes a wing" "$found"
+found=$(grep -rnE '#include "core/[a-z_]+_internal\.h"' $(ls -d $wings apps 2>/dev/null) --include='*.[ch]' --include='*.cpp' || true)
+[ -z "$found" ] || complain "what is internal to core/ is used outside" "$found"
 found=$(find core $wings apps -name '*.cpp' 2>/dev/null | grep -vE '_(visp|opencv|ceres|urdfdom|cgal)\.cpp$' || true)
 [ -z "$found" ] || complain "C++ outside the walls" "$found"
 found=$(grep -nE '\b(printf|puts|putchar|perror|exit|abort) *\(' core/*.c core/*.cpp calib/*.c calib/*.cpp | grep -vE 'snprintf' || true)

@@ -854,7 +854,7 @@ static void test_heat(void **state)
     assert_non_null(second);
     assert_non_null(strstr(second, "sigma (px)"));
     assert_null(strstr(text, "no data"));
-    assert_non_null(strstr(second, ">0.5<")); /* a tick of the values' own range */
+    assert_non_null(strstr(second, ">0.50<")); /* a tick of the values' own range */
     assert_null(strstr(second, ">5<"));
     free(text);
     heat.high = 10;
