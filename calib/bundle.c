@@ -81,9 +81,12 @@ void td_bundle_free(td_bundle *bundle)
 
 void td_bundle_warp_shape(double shape[2], const td_target *target, size_t point)
 {
-    double columns = target->plane[0].columns, rows = target->plane[0].rows;
-    double x = 2 * (double)(point % (size_t)columns) / (columns - 1) - 1;
-    double y = 2 * (double)(point / (size_t)columns) / (rows - 1) - 1;
+    const td_target_plane *plane = target->plane;
+    const double tag = target->kind == TD_TARGET_APRILGRID ? target->tag_size_m : 0;
+    double at[2];
+    td_target_point_on_plane(at, target, point);
+    double x = 2 * at[0] / ((plane->columns - 1) * plane->spacing_m + tag) - 1;
+    double y = 2 * at[1] / ((plane->rows - 1) * plane->spacing_m + tag) - 1;
     shape[0] = 1 - x * x;
     shape[1] = 1 - y * y;
 }

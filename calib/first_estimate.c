@@ -123,22 +123,20 @@ static bool to_normalised(double out[2], const double pixel[2], const td_camera 
 static bool view_homography(double h[9], int *plane, const seen_points *s, const td_target *target, size_t v,
                             const td_camera *camera)
 {
-    size_t votes[TD_TARGET_MAX_PLANES] = {0}, first_of_plane, n = 0;
+    size_t votes[TD_TARGET_MAX_TAGS] = {0}, n = 0;
+    const int planes = target->kind == TD_TARGET_TAGS ? target->tag_count : target->plane_count;
     for (size_t i = s->first[v]; i < s->first[v + 1]; i++)
-        votes[td_target_plane_of(target, s->index[i], &first_of_plane)]++;
+        votes[td_target_plane_of(target, s->index[i], NULL)]++;
     *plane = 0;
-    for (int p = 1; p < target->plane_count; p++)
+    for (int p = 1; p < planes; p++)
         if (votes[p] > votes[*plane]) *plane = p;
     if (votes[*plane] < 4) return false;
     double *xy = malloc(4 * votes[*plane] * sizeof *xy);
     if (!xy) return false;
     double *uv = xy + 2 * votes[*plane];
-    const td_target_plane *grid = &target->plane[*plane];
     for (size_t i = s->first[v]; i < s->first[v + 1]; i++) {
-        if (td_target_plane_of(target, s->index[i], &first_of_plane) != *plane) continue;
-        size_t k = s->index[i] - first_of_plane;
-        xy[2 * n] = (double)(k % (size_t)grid->columns) * grid->spacing_m;
-        xy[2 * n + 1] = (double)(k / (size_t)grid->columns) * grid->spacing_m;
+        if (td_target_plane_of(target, s->index[i], NULL) != *plane) continue;
+        td_target_point_on_plane(xy + 2 * n, target, s->index[i]);
         n += to_normalised(uv + 2 * n, s->pixel + 2 * i, camera);
     }
     bool found = td_homography(h, xy, uv, n, NULL) == TD_OK;
@@ -227,7 +225,8 @@ static double poses_by_homography(td_pose *pose, bool *has_pose, const td_pose *
         has_pose[v] = view_homography(h, &plane, s, &o->target, v, camera) &&
                       td_pose_from_homography(&camera_from_plane, h, NULL) == TD_OK;
         if (!has_pose[v]) continue;
-        td_pose plane_from_target = td_pose_inverse(&o->target.plane[plane].target_from_plane);
+        td_pose target_from_plane = td_target_plane_pose(&o->target, plane);
+        td_pose plane_from_target = td_pose_inverse(&target_from_plane);
         if (on_rail(o, v)) plane_from_target.t[2] += o->height_m[v];
         pose[v] = td_pose_compose(&camera_from_plane, &plane_from_target);
     }

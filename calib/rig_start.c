@@ -88,7 +88,8 @@ static bool unmirror(td_bundle *bundle, int camera)
     size_t views = bundle->observations->view_count, n = 0;
     double *rms = malloc((views + 1) * sizeof *rms);
     bool changed = false;
-    if (!rms || bundle->observations->target.plane_count > 1) {
+    if (!rms || bundle->observations->target.plane_count > 1 ||
+        !td_target_is_flat(&bundle->observations->target)) {
         free(rms);
         return false;
     }
@@ -210,10 +211,11 @@ static td_status run_monos(mono *monos, const td_bundle *bundle, const td_calibr
  * disagreement. */
 #define CLEARLY 1.0
 
-/* How many turns map the grid onto itself: 4, 2, or 1 when there are several planes. */
+/* How many turns map the grid onto itself: 4, 2, or 1 when there are several planes or the points are
+ * numbered. */
 static int turn_count(const td_target *target)
 {
-    if (target->plane_count > 1) return 1;
+    if (target->plane_count != 1 || td_target_tag_count(target)) return 1;
     return target->plane[0].columns == target->plane[0].rows ? 4 : 2;
 }
 
@@ -269,7 +271,8 @@ static void turn_detection(td_detection *d, const td_target *target, int turn)
 /* Largest distance (px) between where camera `c` sees the board's outer corners at two poses. */
 static double disagreement(const td_camera *c, const td_target *target, const td_pose *a, const td_pose *b)
 {
-    size_t columns = (size_t)target->plane[0].columns, count = columns * (size_t)target->plane[0].rows;
+    size_t columns = (size_t)target->plane[0].columns, count = td_target_point_count(target);
+    if (td_target_tag_count(target)) columns = count / 3; /* numbered otherwise: some points that lie apart */
     const size_t corner[4] = {0, columns - 1, count - columns, count - 1};
     double worst = 0;
     for (int i = 0; i < 4; i++) {
