@@ -63,6 +63,7 @@ static void print_help(const cli_command *c)
     printf("teledimos %s — %s\n\nUsage: teledimos %s %s\n\n", c->name, c->summary, c->name, c->usage);
     print_wrapped(c->text, 0, 100);
     if (c->examples) printf("\nExamples:\n%s", c->examples);
+    if (c->option_count && c->option[0].type != CLI_HEADING) printf("\nOptions:\n");
     for (size_t i = 0; i < c->option_count; i++) {
         const cli_option *o = &c->option[i];
         if (o->type == CLI_HEADING) {
@@ -71,8 +72,10 @@ static void print_help(const cli_command *c)
         }
         char head[80];
         option_head(head, sizeof head, o);
-        printf("  %-26s ", head);
-        if (strlen(head) > 26) printf("\n%*s", 29, "");
+        if (strlen(head) > 26)
+            printf("  %s\n%*s", head, 29, "");
+        else
+            printf("  %-26s ", head);
         print_wrapped(o->help, 29, 100);
     }
     printf("      --help                 this text\n");

@@ -98,7 +98,7 @@ static cli_command command = {
             "flat: paper "
             "alone bends by millimetres.",
     .examples = "  teledimos target chessboard -o board.pdf\n"
-                "  teledimos target charuco --columns 11 --rows 8 --spacing-mm 30 --page a3 -o board.svg\n"
+                "  teledimos target charuco --columns 11 --rows 8 --spacing-mm 27 --page a3 -o board.svg\n"
                 "  teledimos target aprilgrid --columns 6 --rows 6 --tag-size-mm 88 --page fit -o grid.pdf\n"
                 "  teledimos target tags --ids 0-3 --tag-size-mm 60 -o tags.pdf\n",
     .option = options,
