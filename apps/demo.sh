@@ -22,4 +22,7 @@ echo
 echo "== teledimos rectify datasets/opencv-stereo --rig out/opencv-stereo/rig.yaml -o out/rectified"
 teledimos rectify datasets/opencv-stereo --rig out/opencv-stereo/rig.yaml -o out/rectified
 echo
+echo "== teledimos convert out/opencv-stereo/rig.yaml --to ros-tf"
+teledimos convert out/opencv-stereo/rig.yaml --to ros-tf
+echo
 echo "Done. Open the report: $PWD/out/opencv-stereo/report.html"
