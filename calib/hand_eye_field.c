@@ -133,14 +133,24 @@ static double derivative(double *q, const td_he_gls *gls, const double weight[6]
     return gradient;
 }
 
-static double trace_of_product(const double *a, const double *b, size_t rows)
+/* Rows that a variance belongs to: those of rotation, of translation, or (the length) all. */
+static void rows_of(size_t range[2], int k, size_t n)
+{
+    range[0] = k < 4 && k % 2 ? 3 * n : 0;
+    range[1] = k < 4 && k % 2 == 0 ? 3 * n : 6 * n;
+}
+
+/* tr(Q_k Q_l), where columns of Q_k that do not belong to variance k are zero. */
+static double trace_of_product(const double *a, const size_t column_a[2], const double *b,
+                               const size_t column_b[2], size_t rows)
 {
     enum { TILE = 32 };
     double sum = 0;
-    for (size_t i0 = 0; i0 < rows; i0 += TILE)
-        for (size_t k0 = 0; k0 < rows; k0 += TILE)
-            for (size_t i = i0; i < rows && i < i0 + TILE; i++)
-                for (size_t k = k0; k < rows && k < k0 + TILE; k++) sum += a[i * rows + k] * b[k * rows + i];
+    for (size_t i0 = column_b[0]; i0 < column_b[1]; i0 += TILE)
+        for (size_t k0 = column_a[0]; k0 < column_a[1]; k0 += TILE)
+            for (size_t i = i0; i < column_b[1] && i < i0 + TILE; i++)
+                for (size_t k = k0; k < column_a[1] && k < k0 + TILE; k++)
+                    sum += a[i * rows + k] * b[k * rows + i];
     return sum;
 }
 
@@ -163,8 +173,13 @@ bool td_he_evaluate_field(td_he_gls *gls, const td_he_linear *linear, const td_h
         gls->gradient[k] = derivative(q + (size_t)k * square, gls, weight, through);
     }
     for (int k = 0; k < TD_HE_MAX_VARIANCES; k++)
-        for (int l = 0; l <= k; l++)
-            gls->fisher[TD_HE_MAX_VARIANCES * k + l] = gls->fisher[TD_HE_MAX_VARIANCES * l + k] =
-                0.5 * trace_of_product(q + (size_t)k * square, q + (size_t)l * square, rows);
+        for (int l = 0; l <= k; l++) {
+            size_t of_k[2], of_l[2];
+            rows_of(of_k, k, n);
+            rows_of(of_l, l, n);
+            double trace =
+                trace_of_product(q + (size_t)k * square, of_k, q + (size_t)l * square, of_l, rows);
+            gls->fisher[TD_HE_MAX_VARIANCES * k + l] = gls->fisher[TD_HE_MAX_VARIANCES * l + k] = trace / 2;
+        }
     return true;
 }

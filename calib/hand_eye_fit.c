@@ -46,7 +46,7 @@ static bool is_small(const td_he_gls *gls)
 {
     for (int k = 0; k < gls->p; k++) {
         double b = fabs(gls->beta[k]);
-        if (b > 1e-13 && b > 1e-5 * sqrt(gls->cov[k * gls->p + k])) return false;
+        if (b > 1e-13 && b > 1e-4 * sqrt(gls->cov[k * gls->p + k])) return false;
     }
     return true;
 }
@@ -58,10 +58,12 @@ td_status td_he_fit_run(td_he_fit *fit, const td_he_view *view, size_t n, const 
     *fit = (td_he_fit){.state = *start, .variance = *variance};
     TD_TRY(td_he_linear_new(&fit->linear, n, p, error));
     TD_TRY(td_he_gls_new(&fit->gls, n, p, variance->count > 2, error));
+    /* From a closed form's poses the variances are not yet to be learned. */
+    int rough = variance->count > 2 ? 0 : 2;
     for (int iteration = 0; iteration < 40; iteration++) {
         td_he_linearise(&fit->linear, view, &fit->state);
-        bool ok = iteration < 2 ? td_he_evaluate(&fit->gls, &fit->linear, &fit->variance)
-                                : td_he_maximise(&fit->gls, &fit->linear, &fit->variance);
+        bool ok = iteration < rough ? td_he_evaluate(&fit->gls, &fit->linear, &fit->variance)
+                                    : td_he_maximise(&fit->gls, &fit->linear, &fit->variance);
         if (!ok)
             return td_fail(error, TD_ERROR_DATA,
                            "the views do not determine the transforms: add views in which the hand is turned "
@@ -73,7 +75,7 @@ td_status td_he_fit_run(td_he_fit *fit, const td_he_view *view, size_t n, const 
         if (turn > 0.3)
             for (int k = 0; k < p; k++) beta[k] *= 0.3 / turn;
         td_he_move(&fit->state, beta, p);
-        if (iteration >= 2 && is_small(&fit->gls)) break;
+        if (iteration >= rough && is_small(&fit->gls)) break;
     }
     td_he_linearise(&fit->linear, view, &fit->state);
     if (!td_he_evaluate(&fit->gls, &fit->linear, &fit->variance))

@@ -54,6 +54,16 @@ static double turns(double value[3], double vector[9], const td_he_view *view, s
     return largest;
 }
 
+/* A direction of unit length to be read by people: its largest component positive, no -0.00. */
+static void clean_axis(double axis[3], const double v[3])
+{
+    int most = 0;
+    for (int k = 1; k < 3; k++)
+        if (fabs(v[k]) > fabs(v[most]) + 1e-9) most = k;
+    double length = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) * (v[most] < 0 ? -1 : 1);
+    for (int k = 0; k < 3; k++) axis[k] = fabs(v[k]) < 0.005 * fabs(length) ? 0 : v[k] / length;
+}
+
 td_status td_he_check_motion(const td_he_view *view, size_t n, td_hand_eye_setup setup, td_error *error)
 {
     double value[3], vector[9];
@@ -76,16 +86,17 @@ td_status td_he_check_motion(const td_he_view *view, size_t n, td_hand_eye_setup
             "the hand does not turn: %.2f degrees at most between two views; turn it by 20 degrees "
             "or more about at least two axes",
             largest / DEGREE);
-    if (sqrt(fmax(value[1], 0)) < least_turn)
-        return td_fail(
-            error, TD_ERROR_DATA,
-            "all turns of the hand are about one axis, which leaves the translation of %s along "
-            "the common axis (%.2f, %.2f, %.2f in the hand's frame) open, and that of %s with it; add "
-            "views in which the hand is turned by 20 degrees or more about another axis",
-            setup == TD_EYE_TO_HAND ? td_hand_eye_z_name(setup) : td_hand_eye_x_name(setup), vector[6],
-            vector[7], vector[8],
-            setup == TD_EYE_TO_HAND ? td_hand_eye_x_name(setup) : td_hand_eye_z_name(setup));
-    return TD_OK;
+    if (sqrt(fmax(value[1], 0)) >= least_turn) return TD_OK;
+    bool to_hand = setup == TD_EYE_TO_HAND;
+    double axis[3];
+    clean_axis(axis, vector + 6);
+    return td_fail(
+        error, TD_ERROR_DATA,
+        "all turns of the hand are about one axis, which leaves the translation of %s along the "
+        "common axis (%.2f, %.2f, %.2f in the hand's frame) open, and that of %s with it; add views in "
+        "which the hand is turned by 20 degrees or more about another axis",
+        to_hand ? td_hand_eye_z_name(setup) : td_hand_eye_x_name(setup), axis[0], axis[1], axis[2],
+        to_hand ? td_hand_eye_x_name(setup) : td_hand_eye_z_name(setup));
 }
 
 void td_he_origin_covariance(double out[144], const td_hand_eye *result)
@@ -113,7 +124,8 @@ static void describe(char text[320], const td_hand_eye *result, const double dir
         length[k] = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
         if (length[k] > length[part] + 1e-9) part = k;
     }
-    const double *v = direction + 3 * part;
+    double axis[3];
+    clean_axis(axis, direction + 3 * part);
     bool turn = part % 2 == 0, of_x = part < 2;
     bool hand = of_x == (result->setup != TD_EYE_TO_HAND);
     double size = sigma * length[part] * (turn ? limit_rad / DEGREE : limit_m * 1e3);
@@ -122,9 +134,8 @@ static void describe(char text[320], const td_hand_eye *result, const double dir
              "the hand is turned by 20 degrees or more about axes across %s",
              turn ? "rotation" : "translation",
              of_x ? td_hand_eye_x_name(result->setup) : td_hand_eye_z_name(result->setup),
-             turn ? "about" : "along", v[0] / length[part], v[1] / length[part], v[2] / length[part],
-             hand ? "hand" : "base", size, turn ? "degrees" : "mm",
-             hand ? "this one" : "those of the turns so far");
+             turn ? "about" : "along", axis[0], axis[1], axis[2], hand ? "hand" : "base", size,
+             turn ? "degrees" : "mm", hand ? "this one" : "those of the turns so far");
 }
 
 void td_he_find_weak(td_hand_eye *result)

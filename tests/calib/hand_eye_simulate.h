@@ -51,8 +51,8 @@ static inline double field_at(const smooth_field *f, int c, const double p[3])
 {
     double sum = 0;
     for (int w = 0; w < WAVES; w++)
-        sum += cos(f->frequency[c][w][0] * p[0] + f->frequency[c][w][1] * p[1] + f->frequency[c][w][2] * p[2] +
-                   f->phase[c][w]);
+        sum += cos(f->frequency[c][w][0] * p[0] + f->frequency[c][w][1] * p[1] +
+                   f->frequency[c][w][2] * p[2] + f->phase[c][w]);
     return sum * sqrt(2.0 / WAVES);
 }
 
@@ -78,8 +78,8 @@ static inline td_pose posed(double rx, double ry, double rz, double x, double y,
     return p;
 }
 
-static inline void simulate_view(hand_eye_scene *s, size_t i, const robot_errors *e, const smooth_field *field,
-                                 td_random *random)
+static inline void simulate_view(hand_eye_scene *s, size_t i, const robot_errors *e,
+                                 const smooth_field *field, td_random *random)
 {
     double turn = e->turn > 0 ? e->turn : 0.6, xi[6], d[6], factor[36];
     td_pose down = posed(3.0, 0.1, 0.05, 0.5, 0.1, 0.6);
@@ -88,7 +88,9 @@ static inline void simulate_view(hand_eye_scene *s, size_t i, const robot_errors
     for (int k = 0; k < 3; k++) hand.t[k] += xi[3 + k];
     td_pose seen = td_hand_eye_predict(s->setup, &s->x, &s->z, &hand);
     for (int k = 0; k < 6; k++)
-        d[k] = (e->field_m > 0 || e->field_rad > 0) ? (k < 3 ? e->field_rad : e->field_m) * field_at(field, k, hand.t) : 0;
+        d[k] = (e->field_m > 0 || e->field_rad > 0)
+                   ? (k < 3 ? e->field_rad : e->field_m) * field_at(field, k, hand.t)
+                   : 0;
     td_pose turn_back = td_pose_inverse(&hand);
     double at_hand[6];
     td_pose_rotate(at_hand, &turn_back, d);
@@ -112,7 +114,7 @@ static inline void simulate_hand_eye(hand_eye_scene *s, td_hand_eye_setup setup,
                                      const robot_errors *e, uint64_t seed)
 {
     td_random random = td_random_seed(seed, 7);
-    smooth_field field;
+    smooth_field field = {0};
     *s = (hand_eye_scene){.setup = setup, .count = count};
     if (setup == TD_EYE_TO_HAND) {
         s->x = posed(-1.8, 0.9, -0.8, 1.2, 0.2, 0.5);
