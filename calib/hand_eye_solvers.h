@@ -20,22 +20,31 @@ typedef enum td_hand_eye_solver {
     TD_SOLVER_COUNT
 } td_hand_eye_solver;
 
-TD_API const char *td_hand_eye_solver_name(td_hand_eye_solver solver); /* "tsai", … */
+TD_API const char *td_hand_eye_solver_name(td_hand_eye_solver solver); /* "tsai", …; NULL if none */
 
 typedef struct td_solver_score {
     td_hand_eye_solver solver;
     bool failed;
-    char why[160];                  /* "no number", "84 degrees of scatter: …", "not installed"; "" */
-    td_pose x, z;                   /* Z of solvers that give X alone: the mean over the views */
-    double rms_px;                  /* of reprojection; filled in by the caller (NaN here) */
-    double scatter_mm, scatter_deg; /* RMS of the target's place over the views, seen through X */
+    char why[160]; /* "no number", "no rotation", "84.1 degrees of scatter: …", "not installed: …"; "" */
+    td_pose x, z;  /* Z of solvers that give X alone: the mean over the views; identities without a result */
+    double rms_px; /* of reprojection; filled in by the caller (NaN here) */
+    double scatter_mm,
+        scatter_deg;       /* RMS over the views of the target's place, seen through X, about Z; NaN */
+    double scatter_all_mm; /* both as one: the root of the sum of squares of scatter_mm and of scatter_deg's
+                              arc at the target's usual distance from the cameras; NaN */
 } td_solver_score;
 
+/* More views than this are thinned out evenly before the solvers see them: they look at all pairs of views,
+ * as equals. Scatter is over all views. */
+enum { TD_SOLVERS_MAX_VIEWS = 60 };
+
 /* Runs all; `score` in the order of the enum. A solver fails when it throws, gives no rotation or no number,
- * or scatters far more than the best does. */
+ * or scatters more than three times as far as the best does. TD_ERROR_DATA when the motion determines
+ * nothing, whatever the solver: fewer than three views, a hand that does not turn, or turns about parallel
+ * axes only. */
 TD_API td_status td_hand_eye_solvers_run(td_solver_score score[TD_SOLVER_COUNT], td_hand_eye_setup setup,
                                          const td_hand_eye_view *view, size_t count, td_error *error);
-/* Index of the best that did not fail by scatter, -1 if none. */
+/* Index of the best that did not fail, by scatter_all_mm; -1 if none. */
 TD_API int td_hand_eye_solvers_best(const td_solver_score score[TD_SOLVER_COUNT]);
 
 #ifdef __cplusplus
