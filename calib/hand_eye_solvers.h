@@ -39,7 +39,7 @@ typedef struct td_solver_score {
 enum { TD_SOLVERS_MAX_VIEWS = 60 };
 
 /* Runs all; `score` in the order of the enum. A solver fails when it throws, gives no rotation or no number,
- * or scatters more than three times as far as the best does. TD_ERROR_DATA when the motion determines
+ * or scatters more than twice as far as the best does. TD_ERROR_DATA when the motion determines
  * nothing, whatever the solver: fewer than three views, a hand that does not turn, or turns about parallel
  * axes only. */
 TD_API td_status td_hand_eye_solvers_run(td_solver_score score[TD_SOLVER_COUNT], td_hand_eye_setup setup,
