@@ -1,7 +1,5 @@
 // The wall around ViSP: pose and camera by virtual visual servoing.
 #include <exception>
-#include <iostream>
-#include <mutex>
 #include <vector>
 
 #include <visp3/core/vpCameraParameters.h>
@@ -11,30 +9,14 @@
 #include <visp3/vision/vpCalibration.h>
 #include <visp3/vision/vpPose.h>
 
+#include "calib/visp_quiet_internal.h"
+
 extern "C" {
 #include "calib/first_estimate_internal.h"
 TD_API td_visp_estimate_function td_visp_estimate;
 }
 
 namespace {
-
-// ViSP tells std::cout of poses that it could not find, which may be where a program writes its result.
-class Quiet {
-  public:
-    Quiet() : lock_(mutex()), kept_(std::cout.rdbuf(nullptr)) {}
-    ~Quiet() { std::cout.rdbuf(kept_); }
-    Quiet(const Quiet &) = delete;
-    Quiet &operator=(const Quiet &) = delete;
-
-  private:
-    static std::mutex &mutex()
-    {
-        static std::mutex one;
-        return one;
-    }
-    std::lock_guard<std::mutex> lock_;
-    std::streambuf *kept_;
-};
 
 vpHomogeneousMatrix pose_of(const vpCameraParameters &camera, const double *start, const double *point,
                             const double *pixel, size_t n)
@@ -85,7 +67,7 @@ extern "C" td_status td_visp_estimate(double intrinsics[4], double *matrix, cons
                                       const double *pixel, const size_t *first, const size_t *count,
                                       size_t views, int keep_camera, td_error *error)
 try {
-    Quiet quiet;
+    VispQuiet quiet;
     estimate(intrinsics, matrix, point, pixel, first, count, views, keep_camera != 0);
     return TD_OK;
 } catch (const std::exception &e) {
