@@ -16,13 +16,13 @@ typedef struct td_hand_eye_mistake {
 
 enum { TD_MAX_MISTAKES = 8 };
 
-/* Tries, one at a time: poses inverted, of the robot (the same as the other setup: which of both it is the
- * motions cannot tell) or of the target; lengths in mm or m; rotation vectors in degrees or radians;
- * quaternion order; mirrored frames; the order of the views (reversed, two exchanged, one too many or too few
- * in one list, so that all from there on are shifted by one). Each is judged by a robust closed form over
- * pairs of views (Park and Martin 1994, reweighted). Named, the best first, are those that leave less than a
- * third of the residual, a small part of the motion, and not more than twice what the best leaves. Fewer than
- * 5 views: none. */
+/* Tries, one at a time: poses inverted (the robot's, the target's, or the other setup: to the motions the
+ * same, so one text names all three); lengths in mm or m; rotation vectors in degrees or radians; quaternion
+ * order; mirrored frames; the order of the views (reversed, two exchanged, one too many or too few in one
+ * list, so that all from there on are shifted by one). Each is judged by a robust closed form over pairs of
+ * views (Park and Martin 1994, reweighted). Named, the best first, are those that leave less than a third of
+ * the residual, a small part of the motion, and not more than twice what the best leaves. Fewer than 5 views:
+ * none. */
 TD_API size_t td_hand_eye_mistakes(td_hand_eye_mistake mistake[TD_MAX_MISTAKES], td_hand_eye_setup setup,
                                    const td_hand_eye_view *view, size_t count);
 

@@ -134,7 +134,7 @@ static const struct {
     const char *words;
 } mistakes[] = {
     {"inverted", invert, "robot's poses look inverted"},
-    {"target inverted", invert_target, "target's poses look inverted"},
+    {"target inverted", invert_target, "or the target's are (target_from_rig)"},
     {"robot in mm", millimetres, "robot's lengths look like millimetres"},
     {"target in mm", target_millimetres, "target's size looks like millimetres"},
     {"degrees as radians", degrees_as_radians, "look like degrees taken for radians"},
@@ -251,7 +251,7 @@ static void test_nothing_to_judge(void **state)
     assert_int_equal(td_hand_eye_mistakes(found, TD_EYE_IN_HAND, view, VIEWS), 0);
 }
 
-/* Real robots: right as they are; and inverted, reversed or one lost, named. */
+/* Real robots: right as they are, and each mistake named. */
 static void test_real(void **state)
 {
     (void)state;
@@ -270,9 +270,7 @@ static void test_real(void **state)
             mistakes[m].spoil(spoiled, &left, &random);
             size_t n = td_hand_eye_mistakes(found, setup, spoiled, left);
             print_message("%-20s %s\n", mistakes[m].name, n ? found[0].text : "nothing");
-            if (mistakes[m].spoil == invert || mistakes[m].spoil == millimetres ||
-                mistakes[m].spoil == reverse)
-                assert_true(n > 0 && strstr(found[0].text, mistakes[m].words));
+            assert_true(n > 0 && strstr(found[0].text, mistakes[m].words));
         }
     }
 }
