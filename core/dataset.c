@@ -49,6 +49,9 @@ void td_dataset_free(td_dataset **dataset)
     free(d->frame);
     free(d->folder);
     free(d->corners);
+    free(d->robot.path);
+    free(d->target_poses.path);
+    free(d->rig);
     free(d);
     *dataset = NULL;
 }
@@ -183,27 +186,87 @@ static td_status parse_name(td_dataset *d, const td_field *root, td_error *error
     return TD_OK;
 }
 
+/* A file of the dataset's folder, or else of the images'. */
+static td_status parse_near(char **path, const td_field *field, const char *folder, const char *root,
+                            td_error *error)
+{
+    struct stat status;
+    TD_TRY(parse_path(path, field, folder, error));
+    if (stat(*path, &status) == 0) return TD_OK;
+    free(*path);
+    *path = NULL;
+    return parse_path(path, field, root, error);
+}
+
+/* Where poses are and how they are meant. */
+static td_status parse_poses(td_dataset_poses *poses, const td_field *field, const char *folder,
+                             const char *root, td_error *error)
+{
+    static const char *const keys[] = {"poses",      "convention",   "inverted", "length_unit",
+                                       "angle_unit", "scalar_first", NULL};
+    static const char *const conventions[] = {"auto", "csv", "matrix", "visp", "ethz", NULL};
+    static const char *const lengths[] = {"m", "mm", NULL}, *const angles[] = {"rad", "deg", NULL};
+    int choice = 0;
+    if (!field->value) return TD_OK;
+    TD_TRY(td_field_check_keys(field, keys, error));
+    td_field path = td_field_get(field, "poses"), convention = td_field_get(field, "convention");
+    td_field inverted = td_field_get(field, "inverted"), first = td_field_get(field, "scalar_first");
+    td_field length = td_field_get(field, "length_unit"), angle = td_field_get(field, "angle_unit");
+    TD_TRY(parse_near(&poses->path, &path, folder, root, error));
+    if (convention.value)
+        TD_TRY(td_field_choice(&choice, &convention, conventions, "auto, csv, matrix, visp or ethz", error));
+    poses->how.convention = (td_pose_convention)choice;
+    if (inverted.value) TD_TRY(td_field_bool(&poses->how.inverted, &inverted, error));
+    if (first.value) TD_TRY(td_field_bool(&poses->how.scalar_first, &first, error));
+    choice = 0;
+    if (length.value) TD_TRY(td_field_choice(&choice, &length, lengths, "m or mm", error));
+    poses->how.metres = choice ? 1e-3 : 1;
+    choice = 0;
+    if (angle.value) TD_TRY(td_field_choice(&choice, &angle, angles, "rad or deg", error));
+    poses->how.radians = choice ? 0.017453292519943295 : 1;
+    return TD_OK;
+}
+
+static td_status parse_hand_eye(td_dataset *d, const td_field *top, const char *root, td_error *error)
+{
+    static const char *const setups[] = {"eye-in-hand", "eye-to-hand", "robot-world", NULL};
+    td_field robot = td_field_get(top, "robot"), target = td_field_get(top, "target_poses");
+    td_field rig = td_field_get(top, "rig"), setup = td_field_get(top, "setup");
+    int choice;
+    TD_TRY(parse_poses(&d->robot, &robot, d->folder, root, error));
+    TD_TRY(parse_poses(&d->target_poses, &target, d->folder, root, error));
+    if (rig.value) TD_TRY(parse_near(&d->rig, &rig, d->folder, root, error));
+    if (!setup.value) return TD_OK;
+    TD_TRY(td_field_choice(&choice, &setup, setups, "eye-in-hand, eye-to-hand or robot-world", error));
+    strcpy(d->setup, setups[choice]);
+    return TD_OK;
+}
+
 /* Everything of dataset.yaml; d->folder is known. */
 static td_status parse_description(td_dataset *d, places *p, const td_field *root, td_error *error)
 {
     static const char *const keys[] = {"name",   "about",  "root",    "target", "cameras",
-                                       "frames", "expect", "corners", NULL};
+                                       "frames", "expect", "corners", "robot",  "target_poses",
+                                       "rig",    "setup",  NULL};
     TD_TRY(td_field_check_keys(root, keys, error));
     TD_TRY(parse_name(d, root, error));
     td_field target = td_field_get(root, "target"), cameras = td_field_get(root, "cameras");
     td_field expect = td_field_get(root, "expect"), folder = td_field_get(root, "root");
     td_field frames = td_field_get(root, "frames"), corners = td_field_get(root, "corners");
-    TD_TRY(td_target_parse(&d->target, &target, error));
-    TD_TRY(parse_cameras(d, &cameras, error));
+    bool poses_only = td_field_get(root, "target_poses").value != NULL;
+    if (target.value || !poses_only) TD_TRY(td_target_parse(&d->target, &target, error));
+    if (cameras.value || !poses_only) TD_TRY(parse_cameras(d, &cameras, error));
     TD_TRY(parse_expectation(d, &expect, error));
     const char *table = FRAMES;
     if (frames.value) TD_TRY(td_field_string(&table, &frames, error));
     p->frames = td_path_join(d->folder, table);
     if (!p->frames) return out_of_memory(error);
     if (corners.value) TD_TRY(parse_path(&d->corners, &corners, d->folder, error));
-    if (folder.value) return parse_path(&p->root, &folder, d->folder, error);
-    p->root = strdup(d->folder);
-    return p->root ? TD_OK : out_of_memory(error);
+    if (folder.value)
+        TD_TRY(parse_path(&p->root, &folder, d->folder, error));
+    else if (!(p->root = strdup(d->folder)))
+        return out_of_memory(error);
+    return parse_hand_eye(d, root, p->root, error);
 }
 
 /* ---- frames.csv ---- */
@@ -344,10 +407,11 @@ static td_status fill(td_dataset *d, const json_t *document, const char *name, c
     places p = {NULL, NULL};
     td_csv *csv = NULL;
     td_status status = parse_description(d, &p, &root, error);
-    if (status == TD_OK)
+    bool wanted = d->camera_count > 0 || !d->target_poses.path;
+    if (status == TD_OK && wanted)
         status = given ? td_csv_parse(&csv, given->text, given->size, p.frames, error)
                        : td_csv_read(&csv, p.frames, error);
-    if (status == TD_OK) status = read_frames(d, csv, p.root, error);
+    if (status == TD_OK && wanted) status = read_frames(d, csv, p.root, error);
     td_csv_free(&csv);
     free(p.root);
     free(p.frames);

@@ -15,6 +15,16 @@
  * paths begin at the dataset's folder. The target is described in README; core/target.h says what may be in
  * it.
  *
+ * Of hand-eye sets besides (poses belong to the frames in their order, or by time when both have times):
+ *   robot: {poses: poses.csv, convention: auto, inverted: false, length_unit: m, angle_unit: rad,
+ *           scalar_first: false}        # base_from_hand; core/robot_poses.h
+ *   rig: camera.xml                     # the cameras' calibration in any format of core/rig_formats.h
+ *   setup: eye-in-hand                  # or eye-to-hand, robot-world
+ *   target_poses: {poses: …}            # poses of the target in the rig (rig_from_target) instead of images;
+ *                                       # target, cameras and frames.csv are then not needed
+ * Their files are looked for in the dataset's folder, then at root. A file in a zip archive is
+ * "set.zip/folder/name".
+ *
  * frames.csv: a header; `frame` names the view (optional: else the row's number), a column for each camera
  * (an empty cell: no image), optional `time_s`, optional `height_m` (the board, moved along its own normal to
  * known heights while the cameras stand still: Faugeras-Toscani's target with depth). Other columns are kept
@@ -27,6 +37,7 @@
 
 #include "camera.h"
 #include "rig.h"
+#include "robot_poses.h"
 #include "target.h"
 
 #ifdef __cplusplus
@@ -45,6 +56,12 @@ typedef struct td_dataset_frame {
     char *image[TD_RIG_MAX_CAMERAS]; /* whole path of each camera's image; NULL: none */
 } td_dataset_frame;
 
+/* Poses in a file; path NULL: there are none. */
+typedef struct td_dataset_poses {
+    char *path;
+    td_robot_poses_options how;
+} td_dataset_poses;
+
 typedef struct td_dataset {
     char name[TD_NAME_SIZE];
     char *folder; /* where dataset.yaml lies */
@@ -56,6 +73,9 @@ typedef struct td_dataset {
     double expected_baseline_m; /* NaN: not given */
     double expected_tolerance_m;
     char *corners; /* path of a CSV of points found elsewhere (calib/observations.h); NULL: detect */
+    td_dataset_poses robot, target_poses;
+    char *rig;      /* path of the cameras' calibration; NULL: none */
+    char setup[16]; /* "eye-in-hand", …; "": not said */
 } td_dataset;
 
 /* Reads DATASET/dataset.yaml (or the file itself when a path to a .yaml is given) and its frames. Everything

@@ -56,6 +56,9 @@ TD_API td_status td_field_int(int *value, const td_field *field, int low, int hi
 TD_API td_status td_field_bool(bool *value, const td_field *field, td_error *error);
 /* The string lives as long as the document. */
 TD_API td_status td_field_string(const char **value, const td_field *field, td_error *error);
+/* Index of the string among `names` (NULL-terminated); `list` says them for people: "dark, light or any". */
+TD_API td_status td_field_choice(int *choice, const td_field *field, const char *const names[],
+                                 const char *list, td_error *error);
 /* Exactly `count` reals. */
 TD_API td_status td_field_reals(double *value, size_t count, const td_field *field, double low, double high,
                                 td_error *error);

@@ -153,6 +153,20 @@ td_status td_field_count(size_t *count, const td_field *field, size_t low, size_
     return TD_OK;
 }
 
+td_status td_field_choice(int *choice, const td_field *field, const char *const names[], const char *list,
+                          td_error *error)
+{
+    const char *text = NULL;
+    TD_TRY(td_field_string(&text, field, error));
+    for (int i = 0; names[i]; i++)
+        if (!strcmp(text, names[i])) {
+            *choice = i;
+            return TD_OK;
+        }
+    char shown[TD_SHOWN_SIZE];
+    return td_field_fail(field, error, "is '%s', but must be %s", td_text_shown(shown, text), list);
+}
+
 td_status td_field_reals(double *value, size_t count, const td_field *field, double low, double high,
                          td_error *error)
 {

@@ -99,6 +99,7 @@ td_status td_file_read(char **bytes, size_t *size, const char *path, size_t limi
 {
     int fd = -1;
     if (limit > SIZE_MAX - 2) limit = SIZE_MAX - 2;
+    if (td_archive_has(path)) return td_archive_read(bytes, size, path, limit, error);
     TD_TRY(td_file_open(&fd, path, error));
     td_status status = read_all(bytes, size, fd, path, limit, error);
     close(fd);

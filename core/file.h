@@ -10,7 +10,7 @@
 extern "C" {
 #endif
 
-/* Reads a regular file of at most `limit` bytes; *bytes is to be freed with free() and has a 0 behind its
+/* Reads a regular file, or one inside a zip archive ("set.zip/folder/name"), of at most `limit` bytes; *bytes is to be freed with free() and has a 0 behind its
  * end. A missing, unreadable, too large or special file is refused with a sentence that names it. */
 TD_API td_status td_file_read(char **bytes, size_t *size, const char *path, size_t limit, td_error *error);
 

@@ -2,10 +2,15 @@
 #ifndef TELEDIMOS_CORE_FILE_INTERNAL_H
 #define TELEDIMOS_CORE_FILE_INTERNAL_H
 
+#include <stdbool.h>
 #include "status.h"
 
 /* Opens a regular file for reading without ever waiting; anything else is refused with a sentence that names
  * it. *fd is to be closed with close(). */
 td_status td_file_open(int *fd, const char *path, td_error *error);
+
+/* "set.zip/folder/name" names a file inside an archive (archive.c). */
+bool td_archive_has(const char *path);
+td_status td_archive_read(char **bytes, size_t *size, const char *path, size_t limit, td_error *error);
 
 #endif

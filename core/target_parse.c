@@ -38,21 +38,6 @@ static td_status parse_planes(td_target *target, const td_field *field, td_error
     return TD_OK;
 }
 
-/* Index of the text among the names. */
-static td_status parse_choice(int *choice, const td_field *field, const char *const names[], const char *list,
-                              td_error *error)
-{
-    const char *text = NULL;
-    TD_TRY(td_field_string(&text, field, error));
-    for (int i = 0; names[i]; i++)
-        if (!strcmp(text, names[i])) {
-            *choice = i;
-            return TD_OK;
-        }
-    char shown[TD_SHOWN_SIZE];
-    return td_field_fail(field, error, "is '%s', but must be %s", td_text_shown(shown, text), list);
-}
-
 static td_status parse_marks(td_target *target, const td_field *field, td_error *error)
 {
     static const char *const one[] = {"kind",       "columns",  "rows",   "spacing_m",
@@ -64,7 +49,7 @@ static td_status parse_marks(td_target *target, const td_field *field, td_error 
     TD_TRY(planes.value ? parse_planes(target, &planes, error) : parse_grid(target->plane, field, error));
     TD_TRY(td_field_real(&target->diameter_m, &diameter, -INFINITY, INFINITY, error));
     int choice = TD_MARK_ANY;
-    if (polarity.value) TD_TRY(parse_choice(&choice, &polarity, polarity_names, "dark, light or any", error));
+    if (polarity.value) TD_TRY(td_field_choice(&choice, &polarity, polarity_names, "dark, light or any", error));
     target->polarity = (td_mark_polarity)choice;
     return TD_OK;
 }
@@ -102,7 +87,7 @@ static td_status parse_aprilgrid(td_target *target, const td_field *field, td_er
     TD_TRY(td_field_int(&plane->columns, &columns, INT_MIN, INT_MAX, error));
     TD_TRY(td_field_int(&plane->rows, &rows, INT_MIN, INT_MAX, error));
     TD_TRY(td_field_real(&target->tag_size_m, &size, -INFINITY, INFINITY, error));
-    if (order.value) TD_TRY(parse_choice(&choice, &order, order_names, "upward or downward", error));
+    if (order.value) TD_TRY(td_field_choice(&choice, &order, order_names, "upward or downward", error));
     target->order = (td_tag_order)choice;
     plane->target_from_plane = td_pose_identity();
     if (gap.value && spacing.value)
@@ -173,7 +158,7 @@ td_status td_target_parse(td_target *target, const td_field *field, td_error *er
     int choice = 0;
     for (int i = 0; i < TD_TARGET_KIND_COUNT; i++) kinds[i] = td_target_kind_name((td_target_kind)i);
     if (!json_is_object(field->value)) return td_field_check_keys(field, kinds, error);
-    TD_TRY(parse_choice(&choice, &kind, kinds, TARGET_KINDS, error));
+    TD_TRY(td_field_choice(&choice, &kind, kinds, TARGET_KINDS, error));
     read.kind = (td_target_kind)choice;
     TD_TRY(parse[choice](&read, field, error));
     td_error why;
