@@ -484,6 +484,7 @@ static void test_scale(void **state)
         td_hand_eye_options o = td_hand_eye_options_default((td_hand_eye_setup)(k % 2));
         simulate_hand_eye(&s, o.setup, 20, &e, 300 + (uint64_t)k);
         o.model = TD_ROBOT_INDEPENDENT;
+        o.outlier_sigma = 0;
         td_hand_eye *told = solve_with(&s, &o);
         o.free_scale = true;
         td_hand_eye *freed = solve_with(&s, &o);
