@@ -245,7 +245,7 @@ static void put_view(td_hand_eye *result, const td_hand_eye_view *view, const td
 {
     td_hand_eye_fit *out = &result->view[inside->index];
     const td_pose *seen = &view[inside->index].rig_from_target;
-    double r[6], cov[36], zero[6] = {0}, scale = fit->state.scale;
+    double r[6], cov[36], scale = fit->state.scale;
     out->used = place < used;
     td_he_residual(out->residual, inside, &fit->state);
     out->predicted =
@@ -259,9 +259,7 @@ static void put_view(td_hand_eye *result, const td_hand_eye_view *view, const td
         known = td_he_held_out(r, cov, fit, place);
     else
         td_he_predict_new(r, cov, fit, inside);
-    if (!known) memcpy(r, zero, sizeof r);
-    if (known)
-        out->deviate = td_he_deviate(td_he_distance(r, cov), result->model == TD_ROBOT_EXACT ? 0 : 1e6);
+    if (known) out->deviate = td_he_deviate(td_he_distance(r, cov), 0);
     if (known && (o->leave_one_out || !out->used)) {
         out->held_out = sight_less(inside, fit, r, result->setup);
         apart(&out->held_out_mm, &out->held_out_deg, &out->held_out, seen);
@@ -292,7 +290,7 @@ static void put_views(td_hand_eye *result, const td_hand_eye_view *view, const t
     result->held_out_deg = sqrt(deg);
 }
 
-/* With the scale free: the independent fit again, with one parameter more. */
+/* The fit with independent noise again, with the scale as one parameter more. */
 static td_status free_scale(td_he_fit *fit, const td_he_view *view, size_t used, td_error *error)
 {
     td_he_fit other;
@@ -316,7 +314,7 @@ static td_status estimate(td_hand_eye *result, td_he_fit *fit, td_he_view *insid
         return td_fail(error, TD_ERROR_CANCELLED, "the hand-eye calibration was cancelled");
     if (o->free_scale) TD_TRY(free_scale(fit, inside, used, error));
     TD_TRY(choose_model(result, fit, inside, &used, o, error));
-    if (result->model == TD_ROBOT_FIELD && o->outlier_sigma > 0)
+    if ((result->model == TD_ROBOT_FIELD || o->free_scale) && o->outlier_sigma > 0)
         td_he_drop_views(fit, inside, &used, count - count / 3 < 4 ? 4 : count - count / 3, o->outlier_sigma);
     result->used = used;
     put_poses(result, fit);

@@ -68,7 +68,8 @@ static bool solve_and_project(td_he_gls *gls, const td_he_linear *linear, double
                               double *cj)
 {
     size_t n = linear->n, rows = 6 * n, p = (size_t)linear->p;
-    double *g = gls->pg, normal[TD_HE_MAX_PARAMETERS * TD_HE_MAX_PARAMETERS], right[TD_HE_MAX_PARAMETERS];
+    double *g = gls->pg, *ordered = cj + rows * p, normal[TD_HE_MAX_PARAMETERS * TD_HE_MAX_PARAMETERS],
+           right[TD_HE_MAX_PARAMETERS];
     double square = 0;
     for (size_t i = 0; i < n; i++)
         for (size_t c = 0; c < 6; c++)
@@ -78,14 +79,16 @@ static bool solve_and_project(td_he_gls *gls, const td_he_linear *linear, double
     cblas_dgemm(CblasRowMajor, CblasTrans, CblasNoTrans, (int)p, (int)p, (int)rows, 1, j, (int)p, cj, (int)p,
                 0, normal, (int)p);
     memset(right, 0, sizeof right);
-    for (size_t a = 0; a < rows; a++) {
-        double ga = linear->g[6 * (a % n) + a / n], weighted = 0;
-        for (size_t b = 0; b < rows; b++)
-            weighted += gls->dense[a * rows + b] * linear->g[6 * (b % n) + b / n];
-        square += ga * weighted;
-        g[6 * (a % n) + a / n] = weighted;
-        for (size_t k = 0; k < p; k++) right[k] += cj[a * p + k] * ga;
-    }
+    for (size_t i = 0; i < n; i++)
+        for (size_t c = 0; c < 6; c++) ordered[c * n + i] = linear->g[6 * i + c];
+    for (size_t i = 0; i < n; i++)
+        for (size_t c = 0; c < 6; c++) {
+            size_t a = c * n + i;
+            double weighted = cblas_ddot((int)rows, gls->dense + a * rows, 1, ordered, 1);
+            square += ordered[a] * weighted;
+            g[6 * i + c] = weighted;
+            for (size_t k = 0; k < p; k++) right[k] += cj[a * p + k] * ordered[a];
+        }
     if (!td_he_finish(gls, linear, log_det, normal, right, square)) return false;
     for (size_t i = 0; i < n; i++) /* P g = C^-1 g + C^-1 J beta */
         for (size_t c = 0; c < 6; c++) {
@@ -177,8 +180,7 @@ bool td_he_evaluate_field(td_he_gls *gls, const td_he_linear *linear, const td_h
             size_t of_k[2], of_l[2];
             rows_of(of_k, k, n);
             rows_of(of_l, l, n);
-            double trace =
-                trace_of_product(q + (size_t)k * square, of_k, q + (size_t)l * square, of_l, rows);
+            double trace = trace_of_product(q + (size_t)k * square, of_k, q + (size_t)l * square, of_l, rows);
             gls->fisher[TD_HE_MAX_VARIANCES * k + l] = gls->fisher[TD_HE_MAX_VARIANCES * l + k] = trace / 2;
         }
     return true;

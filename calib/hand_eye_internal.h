@@ -125,6 +125,8 @@ void td_he_find_weak(td_hand_eye *result);
 void td_he_origin_covariance(double out[144], const td_hand_eye *result);
 
 /* hand_eye_outliers.c */
+/* Residuals that a variance over this many views rests on. */
+double td_he_freedom(size_t used);
 /* Sorts the views: those used first (fit is theirs), in their order; `used` tells how many. */
 td_status td_he_choose_views(td_he_fit *fit, td_he_view *view, size_t n, size_t *used,
                              const td_he_state *start, double outlier_sigma, td_error *error);

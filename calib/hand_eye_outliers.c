@@ -33,7 +33,7 @@ static double truncation(double share)
     return (1 - exp(-y) * (1 + y + y * y / 2 + y * y * y / 6)) / share;
 }
 
-static double freedom(size_t used)
+double td_he_freedom(size_t used)
 {
     return used > 3 ? 3 * (double)used - 6 : 3;
 }
@@ -88,7 +88,7 @@ static size_t take_in(const td_he_fit *fit, td_he_view *view, size_t n, size_t *
     for (size_t i = before; i < n; i++) {
         double r[6], cov[36];
         td_he_predict_new(r, cov, fit, &view[i]);
-        if (td_he_deviate(td_he_distance(r, cov) * shrunk, freedom(before)) > outlier_sigma) continue;
+        if (td_he_deviate(td_he_distance(r, cov) * shrunk, td_he_freedom(before)) > outlier_sigma) continue;
         size_t to = 0;
         while (to < *used && view[to].index < view[i].index) to++;
         move_view(view, i, to);
@@ -131,8 +131,10 @@ void td_he_drop_views(td_he_fit *fit, td_he_view *view, size_t *used, size_t lea
                 worst = i;
             }
         }
-        /* Its own part in the variances makes a view's distance smaller, by no more than this. */
-        if (td_he_deviate(most, 0) < outlier_sigma / 3) return;
+        /* Its own part in the variances makes a view's distance smaller, by no more than if it were all in
+         * one of them: s for s_without v / (v + s_without). */
+        double v = td_he_freedom(*used);
+        if (most < v && td_he_deviate(most * v / (v - most), v) < outlier_sigma) return;
         td_he_fit without;
         move_view(view, worst, *used - 1);
         td_status status =
@@ -140,7 +142,7 @@ void td_he_drop_views(td_he_fit *fit, td_he_view *view, size_t *used, size_t lea
         bool outside = false;
         if (status == TD_OK) {
             td_he_predict_new(r, cov, &without, &view[*used - 1]);
-            outside = td_he_deviate(td_he_distance(r, cov), freedom(*used - 1)) > outlier_sigma;
+            outside = td_he_deviate(td_he_distance(r, cov), td_he_freedom(*used - 1)) > outlier_sigma;
         }
         if (outside) {
             swap_fits(fit, &without);

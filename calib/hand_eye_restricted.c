@@ -55,8 +55,8 @@ td_status td_he_gls_new(td_he_gls *gls, size_t n, int p, bool field, td_error *e
         gls->inverse = gls->cj + rows * (size_t)p;
     }
     if (square)
-        gls->dense =
-            calloc(square * (1 + TD_HE_MAX_VARIANCES) + 3 * n * n + 2 * rows * (size_t)p, sizeof *gls->dense);
+        gls->dense = calloc(square * (1 + TD_HE_MAX_VARIANCES) + 2 * n * n + 2 * rows * (size_t)p + rows,
+                            sizeof *gls->dense);
     if (!all || (square && !gls->dense)) {
         td_he_gls_free(gls);
         return td_fail(error, TD_ERROR_MEMORY, "no memory for the covariance of %zu views", n);
@@ -260,7 +260,10 @@ static double scoring_step(double step[], const td_he_gls *gls, const td_he_vari
 
 bool td_he_maximise(td_he_gls *gls, const td_he_linear *linear, td_he_variance *variance)
 {
+    /* What is left to gain in -2 log L; the field's evaluations are dear, and 1e-3 is a thirtieth of a
+     * standard deviation. */
     double low[TD_HE_MAX_VARIANCES], high[TD_HE_MAX_VARIANCES], damping = 1e-4;
+    double enough = variance->count > 2 ? 1e-3 : 1e-5;
     bounds(low, high, linear, variance->count);
     for (int k = 0; k < variance->count; k++)
         variance->log[k] = fmin(fmax(variance->log[k], low[k]), high[k]);
@@ -269,7 +272,7 @@ bool td_he_maximise(td_he_gls *gls, const td_he_linear *linear, td_he_variance *
     for (int iteration = 0; iteration < 60 && variance->count; iteration++) {
         double step[TD_HE_MAX_VARIANCES];
         td_he_gls kept = *gls; /* the small arrays: derivatives here, should the trial fail */
-        if (scoring_step(step, gls, variance, low, high, damping) < 1e-5) break;
+        if (scoring_step(step, gls, variance, low, high, damping) < enough) break;
         td_he_variance trial = *variance;
         for (int k = 0; k < trial.count; k++)
             trial.log[k] = fmin(fmax(trial.log[k] + step[k], low[k]), high[k]);
@@ -277,7 +280,7 @@ bool td_he_maximise(td_he_gls *gls, const td_he_linear *linear, td_he_variance *
         if (fresh) {
             *variance = trial;
             damping = fmax(damping / 10, 1e-6);
-            if (kept.minus_two_log - gls->minus_two_log < 1e-6) break;
+            if (kept.minus_two_log - gls->minus_two_log < enough / 10) break;
         } else {
             *gls = kept;
             damping = fmax(damping * 10, 1e-2);
