@@ -241,7 +241,7 @@ td_status td_view_poses(td_view_pose *pose, const td_rig *rig, const td_observat
         double ad[36], moved[36];
         pose[v].rig_from_target = td_pose_compose(&rig_from_first, &b.rig_from_target[b.pose_of_view[v]]);
         td_pose_adjoint(ad, &rig_from_first);
-        td_sandwich(moved, ad, pose[v].covariance, 6, 6);
+        status = td_sandwich(moved, ad, pose[v].covariance, 6, 6, error);
         memcpy(pose[v].covariance, moved, sizeof moved);
     }
     td_bundle_free(&b);
