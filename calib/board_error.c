@@ -12,7 +12,7 @@
 #define SIGNIFICANT 16.0
 /* Curvature, each fitted parameter scaled to 1, that keeps what the views leave open finite. */
 #define RIDGE 1e-10
-#define SETTLED 0.01 /* relative change of variances at which the fixed point counts as found */
+#define SETTLED 0.05 /* change of twice the log likelihood at which the fixed point counts as found */
 #define NOTHING 1e-3 /* effective degrees of freedom below which a component has died out */
 enum { FEWEST_POSES = 3, MOST_POSES = 40, MOST_POINTS = 30, MOST_ROUNDS = 50 };
 enum { POSE = 6, OWN = POSE + TD_BOARD_COLUMNS, Q = TD_BOARD_COLUMNS };
@@ -401,22 +401,32 @@ static void first_sigmas(double sigma[TD_BOARD_PARTS], const equations *q)
         sigma[k] = information[k] > 0 ? sqrt(count[k] / information[k]) : 0;
 }
 
-/* MacKay's fixed point: a component's variance is the sum of its squares over its effective number. */
-static td_status find_sigmas(double sigma[TD_BOARD_PARTS], solution *s, const equations *q, td_error *error)
+/* Minus twice the log of the restricted likelihood, up to a constant. */
+static double deviance(const solution *s, const equations *q)
 {
+    return ((double)q->rows - (double)q->fitted) * log(s->noise) + s->log_det;
+}
+
+/* MacKay's fixed point: a component's variance is the sum of its squares over its effective number. Steps of
+ * twice that length, while they go down, halve their number. Stops early when what it has gained since `none`
+ * can no longer become significant. */
+static td_status find_sigmas(double sigma[TD_BOARD_PARTS], solution *s, const equations *q, double none,
+                             td_error *error)
+{
+    double before = INFINITY, power = 1;
     first_sigmas(sigma, q);
     for (int round = 0; round < MOST_ROUNDS; round++) {
-        bool settled = true;
         TD_TRY(solve_equations(s, q, sigma, error));
+        double now = deviance(s, q), step = before - now;
+        if (fabs(step) < SETTLED || (step < 1 && none - now < SIGNIFICANT / 2)) break;
+        if (step < 0) power = 0.5;
+        before = now;
         for (int k = 0; k < TD_BOARD_PARTS; k++) {
-            if (sigma[k] == 0) continue;
             double factor = s->effective[k] > NOTHING ? s->square[k] / (s->noise * s->effective[k]) : 0;
-            settled &= fabs(factor - 1) < SETTLED;
-            sigma[k] *= sqrt(factor);
+            sigma[k] *= pow(factor, power);
         }
-        if (settled) break;
     }
-    return solve_equations(s, q, sigma, error);
+    return TD_OK;
 }
 
 td_status td_board_error_estimate(td_board_error *board, const td_bundle *bundle, bool follow_rig,
@@ -431,7 +441,7 @@ td_status td_board_error_estimate(td_board_error *board, const td_bundle *bundle
     td_status status = TD_OK;
     if (q.poses >= FEWEST_POSES && q.rows > q.fitted) {
         status = solve_equations(&none, &q, sigma, error);
-        if (status == TD_OK) status = find_sigmas(sigma, &found, &q, error);
+        if (status == TD_OK) status = find_sigmas(sigma, &found, &q, deviance(&none, &q), error);
         double dof = (double)q.rows - (double)q.fitted;
         double gain =
             status == TD_OK ? dof * log(none.noise / found.noise) + none.log_det - found.log_det : 0;

@@ -95,7 +95,10 @@ static inline simulated_shape simulated_board_shape(const simulation *s, td_rand
     simulated_shape b = {.sag = s->sag_m * td_random_normal(random)};
     double angle = 6.2831853 * td_random_uniform(random);
     b.along[0] = cos(angle), b.along[1] = sin(angle);
-    for (int i = 0; i < 4; i++) b.stretch[i] = s->stretch_m * sqrt(1.5) * td_random_normal(random);
+    double columns = s->target.plane[0].columns, rows = s->target.plane[0].rows;
+    const double rms[2] = {sqrt((columns + 1) / (3 * (columns - 1))), sqrt((rows + 1) / (3 * (rows - 1)))};
+    for (int i = 0; i < 4; i++)
+        b.stretch[i] = s->stretch_m * sqrt(0.5) / rms[i % 2] * td_random_normal(random);
     return b;
 }
 
