@@ -15,6 +15,17 @@ static td_tone verdict_tone(verdict v)
     return tones[v];
 }
 
+/* What the board does wrong, as the end of a sentence. */
+static const char *board_text(char *text, size_t size, const td_board_error *b)
+{
+    snprintf(
+        text, size,
+        "points are off by %.3f mm RMS; from view to view the sheet bends by %.3f mm, stretches by %.3f mm "
+        "and ripples by %.3f mm RMS: every sigma takes it into account",
+        1e3 * b->print_m, 1e3 * b->bend_m, 1e3 * b->stretch_m, 1e3 * b->ripple_m);
+    return text;
+}
+
 void calibrate_table(const calibrate_job *job)
 {
     const td_calibration *c = job->calibration;
@@ -49,6 +60,8 @@ void calibrate_table(const calibrate_job *job)
     if (c->has_warp)
         printf("board: bulges by %+.3f ± %.3f mm along its rows, %+.3f ± %.3f mm along its columns\n",
                1e3 * c->warp_m[0], 1e3 * c->sigma_warp_m[0], 1e3 * c->warp_m[1], 1e3 * c->sigma_warp_m[1]);
+    char board[TD_TEXT_SIZE];
+    if (c->board.significant) printf("board: %s\n", board_text(board, sizeof board, &c->board));
     printf("\nverdict: %s\n", verdict_name(job->gate->verdict));
     for (size_t i = 0; i < job->gate->count; i++) printf("  - %s\n", job->gate->reason[i]);
 }
@@ -486,6 +499,9 @@ td_status calibrate_report(const calibrate_job *job, const char *path, td_error 
         td_report_text(
             r, "The board bulges by %+.3f ± %.3f mm along its rows and %+.3f ± %.3f mm along its columns.",
             1e3 * c->warp_m[0], 1e3 * c->sigma_warp_m[0], 1e3 * c->warp_m[1], 1e3 * c->sigma_warp_m[1]);
+    char board[TD_TEXT_SIZE];
+    if (c->board.significant)
+        td_report_text(r, "Of the board %s.", board_text(board, sizeof board, &c->board));
     td_report_heading(r, "Residuals");
     residual_plots(r, job);
     rms_plot(r, job);

@@ -107,6 +107,16 @@ const td_schema_row calibrate_schema[] = {
     {"warp.warp_m", TD_SCHEMA_REALS, true, false,
      "at the middle against the edges, along its columns and rows"},
     {"warp.sigma_warp_m", TD_SCHEMA_REALS, true, false, "standard deviations"},
+    {"board", TD_SCHEMA_OBJECT, false, false,
+     "its errors, when significant, RMS along one axis; every sigma and covariance takes them into account"},
+    {"board.print_error_m", TD_SCHEMA_REAL, true, false, "of points, the same in all views"},
+    {"board.bend_m", TD_SCHEMA_REAL, true, false, "along its normal, anew in each view"},
+    {"board.stretch_m", TD_SCHEMA_REAL, true, false,
+     "in its plane, linear over the board, anew in each view"},
+    {"board.ripple_m", TD_SCHEMA_REAL, true, false,
+     "in its plane, of degree 2 and 3 over the board, anew in each view"},
+    {"board.noise_share", TD_SCHEMA_REAL, true, false,
+     "of the points' variance (noise_px and their own sigma) that is not the board's"},
     {"leave_one_out", TD_SCHEMA_OBJECT, true, false, "views held out in turn"},
     {"leave_one_out.views", TD_SCHEMA_INT, true, false, "held out; 0: too few"},
     {"leave_one_out.rms_px", TD_SCHEMA_REAL, true, true, "residual of held-out views, their pose fitted"},
@@ -393,6 +403,15 @@ json_t *calibrate_result(const calibrate_job *job)
         set(warp, "warp_m", td_json_reals(c->warp_m, 2));
         set(warp, "sigma_warp_m", td_json_reals(c->sigma_warp_m, 2));
         set(root, "warp", warp);
+    }
+    if (c->board.significant) {
+        json_t *board = json_object();
+        set(board, "print_error_m", td_json_real(c->board.print_m));
+        set(board, "bend_m", td_json_real(c->board.bend_m));
+        set(board, "stretch_m", td_json_real(c->board.stretch_m));
+        set(board, "ripple_m", td_json_real(c->board.ripple_m));
+        set(board, "noise_share", td_json_real(c->board.noise_share));
+        set(root, "board", board);
     }
     set(loo, "views", json_integer((json_int_t)c->leave_one_out.views));
     bool done = c->leave_one_out.views > 0;

@@ -8,7 +8,7 @@ td_status td_bundle_init(td_bundle *bundle, const td_observations *observations,
 {
     size_t views = observations->view_count, points = td_target_point_count(&observations->target);
     size_t cameras = (size_t)observations->camera_count;
-    *bundle = (td_bundle){.observations = observations};
+    *bundle = (td_bundle){.observations = observations, .noise_share = 1};
     bundle->rig = td_rig_new();
     bundle->pose_of_view = calloc(views + 1, sizeof *bundle->pose_of_view);
     bundle->rig_from_target = calloc(views + 1, sizeof *bundle->rig_from_target);
@@ -169,7 +169,7 @@ static void multiply23(double *r, const double a[6], const double *b, int n)
 static double weight_of(const td_bundle *bundle, const td_detection *d, int camera, size_t point)
 {
     double s = bundle->own_sigma ? d->sigma[point] : 0, n = bundle->noise[camera];
-    return 1 / sqrt(s * s + n * n);
+    return 1 / sqrt(bundle->noise_share * (s * s + n * n));
 }
 
 /* Blocks in order: camera parameters, rig_from_target, then camera_from_rig unless first, then warp if used.

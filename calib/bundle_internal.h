@@ -22,6 +22,7 @@ typedef struct td_bundle {
     double *shift;  /* (views,cameras,points,2) px, added to the projection: bias of marks; NULL: none */
     double noise[TD_RIG_MAX_CAMERAS]; /* px; a residual is divided by it, starts as 1 */
     bool own_sigma;                   /* each point's own sigma is added to the noise in quadrature */
+    double noise_share; /* of each point's variance, that is its own; the rest is the board's (board_error) */
     unsigned hold[TD_RIG_MAX_CAMERAS];
 } td_bundle;
 

@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "calib/board_error_internal.h"
 #include "calib/calibrate_internal.h"
 
 static td_status check_same(const td_calibration *calibration, const td_observations *o, td_error *error)
@@ -72,6 +73,7 @@ static td_status rebuild(td_bundle_result *result, const td_calibration *calibra
         bundle->rig_from_target[bundle->pose_of_view[v]] = calibration->view[v].rig_from_target;
     bundle->use_warp = calibration->has_warp;
     bundle->own_sigma = calibration->own_sigma;
+    bundle->noise_share = calibration->board.noise_share;
     memcpy(bundle->warp, calibration->warp_m, sizeof bundle->warp);
     memcpy(bundle->hold, calibration->hold, sizeof bundle->hold);
     memcpy(bundle->used, calibration->used, td_bundle_index(bundle, o->view_count, 0, 0));
@@ -121,6 +123,9 @@ td_status td_bundle_result_new(td_bundle_result *result, const td_calibration *c
                                            calibration->rig);
         status = td_problem_covariance(&result->covariance, result->problem.problem, consider, count, error);
     }
+    if (status == TD_OK)
+        status = td_board_error_add(result->covariance, &calibration->board, &result->bundle,
+                                    &result->problem.blocks, error);
     free(store);
     if (status != TD_OK) td_bundle_result_free(result);
     return status;

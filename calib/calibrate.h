@@ -88,6 +88,17 @@ typedef struct td_leave_one_out {
     double flatness_m;      /* RMS distance of triangulated points from the target after the best fit */
 } td_leave_one_out;
 
+/* What the board does wrong and all cameras see alike, estimated from the residuals: RMS along one axis. */
+typedef struct td_board_error {
+    bool significant; /* false: nothing is found, and all below are 0 but noise_share */
+    double print_m;   /* each point's own place, the same in all views: along x, y and z */
+    double bend_m;    /* anew in each view: the sheet bends along its normal, degree 2 and 3 over the board */
+    double stretch_m; /* it stretches or shears in its plane, degree 1 */
+    double ripple_m;  /* and degree 2 and 3 */
+    double noise_share; /* of the points' variance by noise_px and their own sigma, that is theirs alone */
+    double gain;        /* twice the log of the likelihood ratio against none */
+} td_board_error;
+
 /* A direction in the parameters that the views hardly determine. */
 typedef struct td_weak_direction {
     char text[TD_TEXT_SIZE]; /* what cannot be told apart, and what to do */
@@ -107,8 +118,9 @@ typedef struct td_calibration {
     td_calibrated_pair pair[TD_RIG_MAX_CAMERAS];
     bool has_warp;
     double warp_m[2], sigma_warp_m[2];
-    double chi2_per_dof; /* weighted residuals */
-    double rms_px;       /* over all used points */
+    td_board_error board; /* counted in every covariance and sigma */
+    double chi2_per_dof;  /* weighted residuals */
+    double rms_px;        /* over all used points */
     td_leave_one_out leave_one_out;
     size_t weak_count;
     td_weak_direction weak[TD_MAX_WEAK];

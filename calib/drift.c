@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "calib/board_error_internal.h"
 #include "calib/drift_internal.h"
 #include "calib/significance_internal.h"
 
@@ -130,22 +131,34 @@ static void name_cause(char *text, size_t size, const cause *f, const td_rig *ri
 
 /* ---- the test ---- */
 
-/* Of the cameras whose bit is set. With a noise taken from the residuals, chi2 over its degrees of freedom is
- * Fisher's F. */
+/* Of the cameras whose bit is set. The board's errors widen what the gradient may be. With a noise taken from
+ * the residuals, chi2 over its degrees of freedom is Fisher's F. */
 static td_status judge(double *p, td_gradient_test *test, const td_drift_views *views, const td_rig *rig,
                        unsigned cameras, const td_drift_options *options, td_error *error)
 {
     td_drift_normal normal;
+    td_bundle bundle = views->bundle; /* with the points' own noise alone */
+    size_t n = td_rig_parameter_count(rig);
+    double *by_board = calloc(n * n + 1, sizeof *by_board);
     *p = NAN;
-    TD_TRY(td_drift_normal_make(&normal, &views->bundle, cameras, error));
-    td_status status =
-        td_gradient_test_make(test, normal.a, normal.g, rig->covariance, normal.scale, normal.n, error);
+    if (!by_board) return td_fail(error, TD_ERROR_MEMORY, "no memory for %zu parameters", n);
+    bundle.noise_share = views->board.noise_share;
+    td_status status = td_drift_normal_make(&normal, &bundle, cameras, error);
+    if (status != TD_OK) {
+        free(by_board);
+        return status;
+    }
+    status = td_board_error_gradient(by_board, &views->board, &bundle, &normal, cameras, error);
+    if (status == TD_OK)
+        status = td_gradient_test_make(test, normal.a, normal.g, rig->covariance, by_board, normal.scale, n,
+                                       error);
     if (status == TD_OK && test->rank && rig->covariance) {
         double left = (double)normal.rows - (double)normal.nuisances - (double)test->rank;
         *p = options->noise_px > 0 ? td_chi2_tail(test->chi2, (double)test->rank)
                                    : td_f_tail(test->chi2 / (double)test->rank, (double)test->rank, left);
     }
     td_drift_normal_free(&normal);
+    free(by_board);
     return status;
 }
 

@@ -10,6 +10,7 @@
 typedef struct td_drift_views {
     td_observations *observations; /* cameras in the rig's order */
     td_bundle bundle;
+    td_board_error board; /* as the views show it when the rig may follow them */
 } td_drift_views;
 
 /* drift_views.c */
@@ -26,6 +27,7 @@ typedef struct td_drift_row {
     double r[2], variance; /* px, px^2 of each coordinate */
     size_t first, count;   /* columns of the rig's parameters: its camera and that camera's pose */
     double own[2][TD_DRIFT_OWN], warp[2][2], view[2][6];
+    double point[2][3]; /* by the point in the board's frame */
 } td_drift_row;
 bool td_drift_row_make(td_drift_row *row, const td_bundle *bundle, size_t view, int camera, size_t point);
 

@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "calib/board_error_internal.h"
 #include "calib/drift_internal.h"
 #include "core/linalg.h"
 
@@ -180,6 +181,7 @@ bool td_drift_row_make(td_drift_row *row, const td_bundle *b, size_t view, int c
     td_multiply(row->view[0], by_rig, move, 2, 3, 6);
     td_pose_rotation(rotation, rig_from_target);
     td_multiply(by_target, by_rig, rotation, 2, 3, 3);
+    memcpy(row->point, by_target, sizeof row->point);
     memset(row->warp, 0, sizeof row->warp);
     if (b->use_warp) {
         /* The board's z by each part of the warp, as td_bundle_target_point has it: linear. */
@@ -192,7 +194,7 @@ bool td_drift_row_make(td_drift_row *row, const td_bundle *b, size_t view, int c
         }
     }
     double s = b->own_sigma ? td_observations_get(o, view, camera)->sigma[point] : 0, n = b->noise[camera];
-    row->variance = s * s + n * n;
+    row->variance = b->noise_share * (s * s + n * n);
     return true;
 }
 
@@ -523,6 +525,7 @@ td_status td_drift_views_settle(td_drift_views *views, const td_drift_options *o
     if (status == TD_OK && !used)
         status =
             td_fail(error, TD_ERROR_DATA, "no view is left: too few points of the target are seen in each");
+    if (status == TD_OK) status = td_board_error_estimate(&views->board, b, true, error);
     free(rest);
     return status;
 }

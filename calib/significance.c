@@ -94,9 +94,10 @@ void td_gradient_test_free(td_gradient_test *test)
     *test = (td_gradient_test){0};
 }
 
-/* l and z from the eigenvectors of the information, its rows and columns scaled to typical size 1. */
-static td_status factor(td_gradient_test *test, const double *a, const double *g, const double *scale,
-                        double *work, td_error *error)
+/* l, z and the transposed pseudo-inverse of l (n,rank) from the eigenvectors of the information, its rows and
+ * columns scaled to typical size 1. */
+static td_status factor(td_gradient_test *test, double *inverse, const double *a, const double *g,
+                        const double *scale, double *work, td_error *error)
 {
     size_t n = test->n;
     double *unit = work, *vector = work + n * n, *value = vector + n * n, *root = value + n;
@@ -111,34 +112,43 @@ static td_status factor(td_gradient_test *test, const double *a, const double *g
         double lambda = sqrt(value[n - 1 - q]);
         for (size_t i = 0; i < n; i++) {
             test->l[i * test->rank + q] = root[i] * v[i] * lambda;
-            if (root[i] > 0) test->z[q] += v[i] * g[i] / (root[i] * lambda);
+            double back = root[i] > 0 ? v[i] / (root[i] * lambda) : 0;
+            inverse[i * test->rank + q] = back;
+            test->z[q] += back * g[i];
         }
     }
     return TD_OK;
 }
 
+/* w (r,r) += m^T s m, m (n,r), s (n,n) symmetric */
+static void add_through(double *w, const double *m, const double *s, size_t n, size_t r, double *work)
+{
+    td_multiply(work, s, m, n, n, r);
+    for (size_t i = 0; i < r; i++)
+        for (size_t k = 0; k <= i; k++) {
+            double sum = 0;
+            for (size_t j = 0; j < n; j++)
+                sum += (m[j * r + i] * work[j * r + k] + m[j * r + k] * work[j * r + i]) / 2;
+            w[i * r + k] += sum;
+            if (k < i) w[k * r + i] += sum;
+        }
+}
+
 td_status td_gradient_test_make(td_gradient_test *test, const double *a, const double *g, const double *s,
-                                const double *scale, size_t n, td_error *error)
+                                const double *b, const double *scale, size_t n, td_error *error)
 {
     *test = (td_gradient_test){.n = n};
     test->l = calloc(n * n + 1, sizeof *test->l);
     test->z = calloc(n + 1, sizeof *test->z);
     test->weight = calloc(n * n + 1, sizeof *test->weight);
-    double *work = calloc(2 * n * n + 2 * n + 1, sizeof *work);
+    double *work = calloc(3 * n * n + 2 * n + 1, sizeof *work), *inverse = work + 2 * n * n + 2 * n;
     td_status status = test->l && test->z && test->weight && work
                            ? TD_OK
                            : td_fail(error, TD_ERROR_MEMORY, "no memory for a test of %zu parameters", n);
-    if (status == TD_OK) status = factor(test, a, g, scale, work, error);
+    if (status == TD_OK) status = factor(test, inverse, a, g, scale, work, error);
     size_t r = test->rank;
-    if (status == TD_OK && s && r) {
-        double *sl = work, *w = test->weight; /* l is (n,r): its transpose is needed twice */
-        td_multiply(sl, s, test->l, n, n, r);
-        for (size_t i = 0; i < r; i++)
-            for (size_t k = 0; k < r; k++)
-                for (size_t j = 0; j < n; j++) w[i * r + k] += test->l[j * r + i] * sl[j * r + k];
-        for (size_t i = 0; i < r; i++)
-            for (size_t k = 0; k < i; k++) w[i * r + k] = w[k * r + i] = (w[i * r + k] + w[k * r + i]) / 2;
-    }
+    if (status == TD_OK && s && r) add_through(test->weight, test->l, s, n, r, work);
+    if (status == TD_OK && b && r) add_through(test->weight, inverse, b, n, r, work);
     for (size_t i = 0; i < r && status == TD_OK; i++) test->weight[i * (r + 1)] += 1;
     if (status == TD_OK && r) status = td_invert_spd(test->weight, test->weight, r, error);
     for (size_t i = 0; i < r && status == TD_OK; i++)

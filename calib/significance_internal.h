@@ -17,19 +17,21 @@ double td_sigmas_of(double p);
 /* Judges an estimate by its gradient. Of a change delta of n parameters the data say -1/2 delta^T A delta -
  * g^T delta (A information, g gradient); before the data, delta had covariance S (NULL: 0). Then g has
  * covariance A + A S A, and on the directions that A sees (rank of them) the sum of its whitened squares is
- * chi-square. Written with A = L L^T, z = L^+ g: chi2 = z^T (1 + L^T S L)^-1 z. */
+ * chi-square. What else makes the gradient vary, with
+ * covariance B (NULL: 0), adds to it. Written with A = L L^T, z = L^+ g:
+ *     chi2 = z^T (1 + L^T S L + L^+ B L^+T)^-1 z. */
 typedef struct td_gradient_test {
     size_t n, rank;
     double *l;      /* (n,rank) */
     double *z;      /* (rank) */
-    double *weight; /* (rank,rank) (1 + L^T S L)^-1 */
+    double *weight; /* (rank,rank) that inverse */
     double chi2;
 } td_gradient_test;
 
 /* `scale` (n): typical information of each parameter, by which directions too weak to be told from rounding
  * are recognised. */
 td_status td_gradient_test_make(td_gradient_test *test, const double *a, const double *g, const double *s,
-                                const double *scale, size_t n, td_error *error);
+                                const double *b, const double *scale, size_t n, td_error *error);
 void td_gradient_test_free(td_gradient_test *test);
 /* Part of chi2 that changes along the `count` directions of `e` (count,n) explain, with their amplitudes and
  * sigmas (count) each. Returns the number of independent directions (0: none is seen). */

@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "calib/board_error_internal.h"
 #include "calib/calibrate_internal.h"
 #include "core/linalg.h"
 
@@ -234,7 +235,9 @@ td_status td_trust_covariance(td_calibration *result, td_bundle *bundle, const t
         calloc((size_t)2 * TD_RIG_MAX_CAMERAS * TD_MAX_BLOCK_SIZE * TD_MAX_BLOCK_SIZE, sizeof *store);
     if (!store) return td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance");
     td_covariance *covariance = NULL;
-    td_status status = td_bundle_problem_new(&bp, bundle, NULL, error);
+    td_status status = td_board_error_estimate(&result->board, bundle, false, error);
+    bundle->noise_share = result->board.noise_share;
+    if (status == TD_OK) status = td_bundle_problem_new(&bp, bundle, NULL, error);
     if (status != TD_OK) {
         free(store);
         return status;
@@ -246,8 +249,9 @@ td_status td_trust_covariance(td_calibration *result, td_bundle *bundle, const t
         size_t count = place_blocks(placed, bundle, &bp.blocks);
         double dof =
             (double)td_covariance_rows(covariance) - (double)td_covariance_free_parameters(covariance);
-        result->chi2_per_dof = dof > 0 ? td_covariance_chi2(covariance) / dof : NAN;
-        status = fill_rig_covariance(result->rig, covariance, placed, count, error);
+        result->chi2_per_dof = dof > 0 ? td_covariance_chi2(covariance) * bundle->noise_share / dof : NAN;
+        status = td_board_error_add(covariance, &result->board, bundle, &bp.blocks, error);
+        if (status == TD_OK) status = fill_rig_covariance(result->rig, covariance, placed, count, error);
         if (status == TD_OK) {
             camera_sigmas(result);
             pair_sigmas(result);

@@ -105,6 +105,20 @@ typedef struct td_consider {
 TD_API td_status td_problem_covariance(td_covariance **covariance, const td_problem *problem,
                                        const td_consider *consider, size_t consider_count, td_error *error);
 TD_API void td_covariance_free(td_covariance **covariance);
+
+/* Part of the effect of errors that residuals have in common: their derivatives of the gradient J^T r. */
+typedef struct td_common_error {
+    int block;
+    const double *gradient; /* (t,count), t the block's tangent */
+} td_common_error;
+
+/* Adds `count` independent errors of unit variance, beside the residuals' own: a solution x of J^T r = 0
+ * moves by -(J^T J)^-1 times the gradient of an error, so that everything asked for afterwards has the
+ * covariance of this estimate under correlated errors (the "sandwich"; considered blocks stay apart from
+ * them). Each block at most once in `part`; what is not named has gradient 0. Few parts on local blocks keep
+ * it cheap. */
+TD_API td_status td_covariance_add_common(td_covariance *covariance, size_t count,
+                                          const td_common_error *part, size_t part_count, td_error *error);
 /* Covariance (ta,tb), row-major, of two blocks' tangents; rows of held components are 0. Along null
  * directions it is that of the other directions only: ask for them first. */
 TD_API td_status td_covariance_get(double *out, const td_covariance *covariance, int a, int b,

@@ -5,7 +5,10 @@
  *     C_ss = S^+                                      (eigenvalues; null directions returned)
  *     C_vs = -N_vv^-1 N_vs C_ss
  *     C_vw = [v = w] N_vv^-1 + N_vv^-1 N_vs C_ss N_sw N_ww^-1
- * A considered block c with covariance C_cc adds K C_cc K^T to the free shared ones, K = -S_xx^+ S_xc. */
+ * A considered block c with covariance C_cc adds K C_cc K^T to the free shared ones, K = -S_xx^+ S_xc.
+ * Common errors with gradients g move the parameters by
+ *     d_s = -S_xx^+ (g_s - sum_v N_sv N_vv^-1 g_v),  d_v = -N_vv^-1 g_v - N_vv^-1 N_vs d_s
+ * and add d d^T. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -23,6 +26,15 @@ typedef struct local_part {
     double *coupling; /* N_vs (size,n), then N_vv^-1 N_vs */
 } local_part;
 
+/* Common errors: the shared columns' moves, and the local blocks' moves while the shared ones stay. */
+typedef struct common_group {
+    size_t count;
+    double *shared; /* (n,count) */
+    size_t local_count;
+    int *block;     /* (local_count) */
+    double **local; /* (local_count) (free components,count) */
+} common_group;
+
 struct td_covariance {
     size_t block_count;
     td_block *block;
@@ -31,12 +43,23 @@ struct td_covariance {
     int (*column)[TD_MAX_BLOCK_SIZE]; /* (block_count) component to free component, -1: held */
     size_t n;                         /* shared columns */
     double *shared;                   /* N_ss, then S, then C_ss (n,n) */
-    double *scale;                    /* (n) 1/sqrt of N_ss' diagonal */
+    double *inverse;                  /* S_xx^+ (n,n), 0 for considered columns */
+    size_t group_count;
+    common_group *group;
+    double *scale; /* (n) 1/sqrt of N_ss' diagonal */
     size_t null_count;
     double *null; /* (null_count,n) */
     double chi2;
     size_t rows, parameters;
 };
+
+static void free_group(common_group *group)
+{
+    for (size_t i = 0; group->local && i < group->local_count; i++) free(group->local[i]);
+    free(group->shared);
+    free(group->block);
+    free(group->local);
+}
 
 void td_covariance_free(td_covariance **covariance)
 {
@@ -51,7 +74,10 @@ void td_covariance_free(td_covariance **covariance)
     free(c->offset);
     free(c->local);
     free(c->column);
+    for (size_t i = 0; i < c->group_count; i++) free_group(&c->group[i]);
+    free(c->group);
     free(c->shared);
+    free(c->inverse);
     free(c->scale);
     free(c->null);
     free(c);
@@ -91,8 +117,9 @@ static td_status lay_out(td_covariance *c, const td_problem *problem, const td_c
         }
     }
     c->shared = calloc(c->n * c->n + 1, sizeof *c->shared);
+    c->inverse = calloc(c->n * c->n + 1, sizeof *c->inverse);
     c->scale = calloc(c->n + 1, sizeof *c->scale);
-    bool enough = c->shared && c->scale;
+    bool enough = c->shared && c->inverse && c->scale;
     for (size_t i = 0; i < c->block_count && enough; i++) {
         if (!c->local[i].size) continue;
         size_t size = (size_t)c->local[i].size;
@@ -267,7 +294,8 @@ static td_status invert_shared(td_covariance *c, const td_consider *consider, si
 
     memset(c->shared, 0, n * n * sizeof *c->shared);
     for (size_t i = 0; i < nx; i++)
-        for (size_t j = 0; j < nx; j++) c->shared[index[i] * n + index[j]] = sxx[i * nx + j];
+        for (size_t j = 0; j < nx; j++)
+            c->shared[index[i] * n + index[j]] = c->inverse[index[i] * n + index[j]] = sxx[i * nx + j];
     if (nc && nx) {
         /* K = -S_xx^+ S_xc; C_xc = K C_cc; C_xx += C_xc K^T */
         td_multiply(k, sxx, sxc, nx, nx, nc);
@@ -312,6 +340,122 @@ td_status td_problem_covariance(td_covariance **covariance, const td_problem *pr
     return status;
 }
 
+/* out (free components,count) of a block's gradient (t,count). */
+static void take_gradient(double *out, const td_covariance *c, const td_common_error *part, size_t count)
+{
+    for (int i = 0; i < c->block[part->block].tangent; i++)
+        if (c->column[part->block][i] >= 0)
+            memcpy(out + (size_t)c->column[part->block][i] * count, part->gradient + (size_t)i * count,
+                   count * sizeof *out);
+}
+
+/* `right` (n,count) gets -(g_s - sum_v N_sv N_vv^-1 g_v). */
+static td_status common_right(common_group *group, double *right, const td_covariance *c,
+                              const td_common_error *part, size_t part_count, td_error *error)
+{
+    size_t n = c->n, count = group->count;
+    for (size_t p = 0; p < part_count; p++) {
+        int b = part[p].block;
+        if (b < 0 || (size_t)b >= c->block_count)
+            return td_fail(error, TD_ERROR_ARGUMENT, "common errors: there is no block %d", b);
+        if (!c->block[b].local) {
+            take_gradient(right + c->offset[b] * count, c, &part[p], count);
+            continue;
+        }
+        size_t size = (size_t)c->local[b].size;
+        if (!size) continue;
+        double *own = calloc(2 * size * count, sizeof *own);
+        if (!own) return td_fail(error, TD_ERROR_MEMORY, "no memory for common errors");
+        take_gradient(own + size * count, c, &part[p], count);
+        td_multiply(own, c->local[b].inverse, own + size * count, size, size, count);
+        group->block[group->local_count] = b;
+        group->local[group->local_count++] = own;
+    }
+    for (size_t i = 0; i < n * count; i++) right[i] = -right[i];
+    for (size_t p = 0; p < group->local_count; p++) {
+        const local_part *l = &c->local[group->block[p]];
+        size_t size = (size_t)l->size;
+        /* N_sv N_vv^-1 g_v: the coupling holds N_vv^-1 N_vs, so its transpose times g_v itself. */
+        const double *g = group->local[p] + size * count;
+        for (size_t i = 0; i < size; i++)
+            for (size_t a = 0; a < n; a++) {
+                double x = l->coupling[i * n + a];
+                for (size_t k = 0; k < count; k++) right[a * count + k] += x * g[i * count + k];
+            }
+        for (size_t i = 0; i < size * count; i++) group->local[p][i] = -group->local[p][i];
+    }
+    return TD_OK;
+}
+
+td_status td_covariance_add_common(td_covariance *c, size_t count, const td_common_error *part,
+                                   size_t part_count, td_error *error)
+{
+    common_group *grown = realloc(c->group, (c->group_count + 1) * sizeof *grown);
+    if (!grown) return td_fail(error, TD_ERROR_MEMORY, "no memory for common errors");
+    c->group = grown;
+    common_group g = {.count = count};
+    double *right = calloc(c->n * count + 1, sizeof *right);
+    g.shared = calloc(c->n * count + 1, sizeof *g.shared);
+    g.block = calloc(part_count + 1, sizeof *g.block);
+    g.local = calloc(part_count + 1, sizeof *g.local);
+    td_status status = right && g.shared && g.block && g.local
+                           ? common_right(&g, right, c, part, part_count, error)
+                           : td_fail(error, TD_ERROR_MEMORY, "no memory for %zu common errors", count);
+    if (status == TD_OK && c->n && count) td_multiply(g.shared, c->inverse, right, c->n, c->n, count);
+    free(right);
+    if (status == TD_OK)
+        c->group[c->group_count++] = g;
+    else
+        free_group(&g);
+    return status;
+}
+
+/* out (rows,count) += part.jacobian times the block's moves under a group of common errors. */
+static void add_moves(double *out, size_t rows, const td_covariance *c, const common_group *g,
+                      const td_linear_part *part)
+{
+    const int *column = c->column[part->block];
+    size_t n = c->n, count = g->count, t = (size_t)c->block[part->block].tangent;
+    const double *own = NULL;
+    for (size_t p = 0; p < g->local_count && !own; p++)
+        if (g->block[p] == part->block) own = g->local[p];
+    for (size_t r = 0; r < rows; r++)
+        for (size_t i = 0; i < t; i++) {
+            double j = part->jacobian[r * t + i];
+            if (column[i] < 0 || j == 0) continue;
+            const double *move = c->block[part->block].local
+                                     ? NULL
+                                     : g->shared + (c->offset[part->block] + (size_t)column[i]) * count;
+            for (size_t k = 0; move && k < count; k++) out[r * count + k] += j * move[k];
+            if (move) continue;
+            for (size_t k = 0; own && k < count; k++)
+                out[r * count + k] += j * own[(size_t)column[i] * count + k];
+            const double *follow = c->local[part->block].coupling + (size_t)column[i] * n;
+            for (size_t a = 0; a < n; a++)
+                for (size_t k = 0; k < count; k++)
+                    out[r * count + k] -= j * follow[a] * g->shared[a * count + k];
+        }
+}
+
+/* out (rows_a,rows_b) += what the common errors add to the covariance of two linear functions. */
+static td_status add_common(double *out, size_t rows_a, const td_linear_part *a, size_t count_a,
+                            size_t rows_b, const td_linear_part *b, size_t count_b, const td_covariance *c,
+                            td_error *error)
+{
+    for (size_t q = 0; q < c->group_count; q++) {
+        const common_group *g = &c->group[q];
+        double *work = calloc((rows_a + rows_b) * g->count + rows_a * rows_b + 1, sizeof *work);
+        if (!work) return td_fail(error, TD_ERROR_MEMORY, "no memory for common errors");
+        double *of_b = work + rows_a * g->count, *product = of_b + rows_b * g->count;
+        for (size_t i = 0; i < count_a; i++) add_moves(work, rows_a, c, g, &a[i]);
+        for (size_t i = 0; i < count_b; i++) add_moves(of_b, rows_b, c, g, &b[i]);
+        if (g->count) td_multiply_transposed(product, work, of_b, rows_a, g->count, rows_b);
+        for (size_t i = 0; i < rows_a * rows_b; i++) out[i] += product[i];
+        free(work);
+    }
+    return TD_OK;
+}
+
 /* Element of the covariance of free components i of block a and k of block b. */
 static double element(const td_covariance *c, int a, int i, int b, int k)
 {
@@ -346,7 +490,12 @@ td_status td_covariance_get(double *out, const td_covariance *c, int a, int b, t
             int ia = c->column[a][i], kb = c->column[b][k];
             out[i * tb + k] = ia < 0 || kb < 0 ? 0 : element(c, a, ia, b, kb);
         }
-    return TD_OK;
+    if (!c->group_count) return TD_OK;
+    double unit[2][TD_MAX_BLOCK_SIZE * TD_MAX_BLOCK_SIZE] = {{0}};
+    for (int i = 0; i < ta; i++) unit[0][i * (ta + 1)] = 1;
+    for (int i = 0; i < tb; i++) unit[1][i * (tb + 1)] = 1;
+    const td_linear_part of_a = {a, unit[0]}, of_b = {b, unit[1]};
+    return add_common(out, (size_t)ta, &of_a, 1, (size_t)tb, &of_b, 1, c, error);
 }
 
 /* With y = G_s s + sum_v G_v v and v = -N_vv^-1 N_vs s + e_v, cov e_v = N_vv^-1:
@@ -395,6 +544,7 @@ td_status td_covariance_propagate(double *out, size_t rows, const td_covariance 
         td_multiply_transposed(shared, fc, f, rows, c->n, rows);
         for (size_t i = 0; i < rows * rows; i++) out[i] += shared[i];
     }
+    if (status == TD_OK) status = add_common(out, rows, part, count, rows, part, count, c, error);
     /* Products of matrices are symmetric only up to rounding. */
     for (size_t i = 0; i < rows; i++)
         for (size_t k = 0; k < i; k++)

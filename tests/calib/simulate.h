@@ -13,6 +13,10 @@ typedef struct simulation {
     double warp_m[2];
     double largest_tilt; /* rad */
     double near_m, far_m;
+    /* The board's own errors: each point's place, once and for all, along x, y and z; a sag of this size in
+     * the middle of every view, along a direction of its own; a stretch of this RMS over the board and along
+     * each axis. All normal. */
+    double print_m, sag_m, stretch_m;
 } simulation;
 
 static inline td_camera simulated_camera(td_camera_model model, double focal, double dx)
@@ -81,6 +85,33 @@ static inline td_pose simulated_pose(const simulation *s, td_random *random)
     }
 }
 
+/* How the board bends and stretches in one view. */
+typedef struct simulated_shape {
+    double sag, along[2], stretch[4];
+} simulated_shape;
+
+static inline simulated_shape simulated_board_shape(const simulation *s, td_random *random)
+{
+    simulated_shape b = {.sag = s->sag_m * td_random_normal(random)};
+    double angle = 6.2831853 * td_random_uniform(random);
+    b.along[0] = cos(angle), b.along[1] = sin(angle);
+    double columns = s->target.plane[0].columns, rows = s->target.plane[0].rows;
+    const double rms[2] = {sqrt((columns + 1) / (3 * (columns - 1))), sqrt((rows + 1) / (3 * (rows - 1)))};
+    for (int i = 0; i < 4; i++)
+        b.stretch[i] = s->stretch_m * sqrt(0.5) / rms[i % 2] * td_random_normal(random);
+    return b;
+}
+
+/* Moves a point that lies at (a, b), -1 to 1 over the board. */
+static inline void simulated_displace(double x[3], const simulated_shape *shape, double a, double b,
+                                      const double *print)
+{
+    double u = shape->along[0] * a + shape->along[1] * b;
+    for (int i = 0; i < 3; i++) x[i] += print[i];
+    for (int i = 0; i < 2; i++) x[i] += shape->stretch[2 * i] * a + shape->stretch[2 * i + 1] * b;
+    x[2] += shape->sag * (1 - u * u);
+}
+
 /* Views whose poses come from `scene_seed`, with Gaussian noise `noise_px` on each coordinate from
  * `noise_seed`. `sigma_px` is what the detections say of themselves. */
 static inline td_observations *simulate(const simulation *s, uint64_t scene_seed, uint64_t noise_seed,
@@ -97,7 +128,14 @@ static inline td_observations *simulate(const simulation *s, uint64_t scene_seed
         o->camera[k].width = c->camera.width;
         o->camera[k].height = c->camera.height;
     }
+    enum { MOST_PRINTED = 1000 };
+    static _Thread_local double print[3 * MOST_PRINTED];
+    td_random board = td_random_seed(noise_seed, 17);
+    assert_true(td_target_point_count(&s->target) <= MOST_PRINTED);
+    for (size_t i = 0; i < 3 * td_target_point_count(&s->target); i++)
+        print[i] = s->print_m * td_random_normal(&board);
     for (size_t v = 0; v < s->views; v++) {
+        simulated_shape bend = simulated_board_shape(s, &board);
         snprintf(o->view_name[v], sizeof o->view_name[v], "%02zu", v);
         td_pose rig_from_target = simulated_pose(s, &scene);
         for (int k = 0; k < s->rig->count; k++) {
@@ -109,6 +147,7 @@ static inline td_observations *simulate(const simulation *s, uint64_t scene_seed
                 double b = 2 * (double)(i / (size_t)columns) / (rows - 1) - 1;
                 td_target_point(x, &s->target, i);
                 x[2] += s->warp_m[0] * (1 - a * a) + s->warp_m[1] * (1 - b * b);
+                simulated_displace(x, &bend, a, b, print + 3 * i);
                 td_pose_transform(x, &rig_from_target, x);
                 td_pose_transform(x, &s->rig->camera[k].camera_from_rig, x);
                 assert_true(td_camera_project(d->point + 2 * i, NULL, NULL, &s->rig->camera[k].camera, x));
