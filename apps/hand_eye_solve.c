@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "apps/hand_eye_internal.h"
+#include "core/linalg.h"
 
 /* Root mean square over the used views. */
 static double over_views(const hand_eye_job *job, const double *value)
@@ -87,6 +88,47 @@ static td_status measure(hand_eye_job *job, td_error *error)
     return TD_OK;
 }
 
+/* Noise about the target's own axes: its rotation does not move it. */
+static void set_pose_noise(hand_eye_job *job, double rad, double m)
+{
+    double own[36] = {0}, ad[36];
+    for (int k = 0; k < 6; k++) own[7 * k] = k < 3 ? rad * rad : m * m;
+    for (size_t v = 0; v < job->count; v++) {
+        td_pose_adjoint(ad, &job->view[v].rig_from_target);
+        td_sandwich(job->view[v].covariance, ad, own, 6, 6, NULL);
+    }
+}
+
+/* Poses of a target that came without a covariance have noise of their own, at the cameras, which the
+ * robot's, at the hand, cannot stand for: a target's rotation is seen less well than its place. The pair of a
+ * coarse grid under which the data are likeliest is taken. */
+static void find_pose_noise(hand_eye_job *job, const td_hand_eye_options *options)
+{
+    static const double rad[] = {2e-4, 1e-3, 2e-3, 4e-3, 8e-3, 16e-3}, m[] = {1e-4, 5e-4, 1e-3, 2e-3, 4e-3};
+    td_hand_eye_options o = *options;
+    double best = -INFINITY, best_rad = rad[0], best_m = m[0];
+    o.model = TD_ROBOT_INDEPENDENT;
+    o.leave_one_out = false;
+    o.outlier_sigma = 0;
+    for (size_t i = 0; i < sizeof rad / sizeof *rad; i++)
+        for (size_t k = 0; k < sizeof m / sizeof *m; k++) {
+            td_hand_eye *r = NULL;
+            set_pose_noise(job, rad[i], m[k]);
+            if (td_hand_eye_solve(&r, job->view, job->count, &o, NULL) != TD_OK) continue;
+            if (r->log_likelihood[TD_ROBOT_INDEPENDENT] > best) {
+                best = r->log_likelihood[TD_ROBOT_INDEPENDENT];
+                best_rad = rad[i];
+                best_m = m[k];
+            }
+            td_hand_eye_free(&r);
+        }
+    set_pose_noise(job, best_rad, best_m);
+    size_t used = strlen(job->rig_from);
+    snprintf(job->rig_from + used, sizeof job->rig_from - used,
+             "; their own noise is likeliest %.1f mm and %.2f degrees", 1e3 * best_m,
+             57.29577951308232 * best_rad);
+}
+
 td_status hand_eye_solve(hand_eye_job *job, td_error *error)
 {
     const hand_eye_how *how = job->how;
@@ -107,6 +149,7 @@ td_status hand_eye_solve(hand_eye_job *job, td_error *error)
     o.threads = how->threads;
     o.progress = how->progress;
     o.log = how->log;
+    if (!job->observations) find_pose_noise(job, &o);
     TD_TRY(td_hand_eye_solve(&job->result, job->view, job->count, &o, error));
     if (how->model != TD_ROBOT_EXACT) {
         o.model = TD_ROBOT_EXACT;

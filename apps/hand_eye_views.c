@@ -13,7 +13,7 @@
 #define STREAM_GAP_S 0.2
 enum { MOST_STREAM_VIEWS = 120 };
 
-/* Poses of a target that came without a covariance: their own error is then counted as the robot's. */
+/* Of poses of a target that came without a covariance, until hand_eye_solve.c finds it. */
 #define POSE_RAD 1e-4
 #define POSE_M 1e-4
 
