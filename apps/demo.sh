@@ -25,4 +25,7 @@ echo
 echo "== teledimos convert out/opencv-stereo/rig.yaml --to ros-tf"
 teledimos convert out/opencv-stereo/rig.yaml --to ros-tf
 echo
+echo "== teledimos hand-eye datasets/hand-eye-stereo -o out/hand-eye"
+teledimos hand-eye datasets/hand-eye-stereo -o out/hand-eye
+echo
 echo "Done. Open the report: $PWD/out/opencv-stereo/report.html"
