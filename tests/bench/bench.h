@@ -40,6 +40,8 @@ double bench_time(bench_function function, void *user, int runs);
  * be NULL). Negative when it cannot be run or fails. */
 double bench_command(const char *const *argv, int runs, double *peak_mb);
 
+/* bench_boards.c */
+void bench_boards(const bench *b);
 /* bench_hand_eye.c */
 void bench_hand_eye(const bench *b);
 /* bench_charuco.c */
