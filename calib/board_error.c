@@ -96,7 +96,7 @@ typedef struct equations {
     double *shared, *right;      /* (m,m), (m) */
     double *own, *by, *by_right; /* (poses,Q,Q), (poses,m,Q), (poses,Q) */
     double square;               /* of the residuals, what poses explain taken off */
-    double *scale;               /* (n) */
+    double *scale;               /* (n) 1/sqrt of the curvature with poses held */
 } equations;
 
 static void free_equations(equations *q)
@@ -171,6 +171,7 @@ static void add_row(equations *q, pose_equations *pose, const td_drift_row *row,
         for (size_t a = 0; a < k; a++) {
             double x = w * j[e][a], *to = q->shared + column[a] * m, *by = pose->by + column[a] * OWN;
             q->right[column[a]] += j[e][a] * r;
+            if (column[a] < q->n) q->scale[column[a]] += x * j[e][a];
             for (size_t b = 0; b < k; b++) to[column[b]] += x * j[e][b];
             for (size_t b = 0; b < OWN; b++) by[b] += x * own[e][b];
         }
@@ -265,9 +266,8 @@ static td_status sum_equations(equations *q, const td_bundle *b, bool follow_rig
         if (pose->rows > POSE) status = eliminate_pose(q, pose, error);
     }
     for (size_t i = 0; i < n; i++) {
-        double diagonal = q->shared[i * (q->m + 1)];
-        q->scale[i] = diagonal > 0 ? 1 / sqrt(diagonal) : 0;
-        q->fitted += diagonal > 0;
+        q->fitted += q->scale[i] > 0;
+        q->scale[i] = q->scale[i] > 0 ? 1 / sqrt(q->scale[i]) : 0;
     }
     free(fitted);
     free(pose);
