@@ -237,7 +237,7 @@ td_status td_trust_covariance(td_calibration *result, td_bundle *bundle, const t
     td_covariance *covariance = NULL;
     td_status status = TD_OK;
     result->board = (td_board_error){.noise_share = 1};
-    if (!options->plain) status = td_board_error_estimate(&result->board, bundle, false, error);
+    if (!options->plain) status = td_board_error_estimate(&result->board, bundle, error);
     bundle->noise_share = result->board.noise_share;
     if (status == TD_OK) status = td_bundle_problem_new(&bp, bundle, NULL, error);
     if (status != TD_OK) {
