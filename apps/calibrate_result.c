@@ -115,8 +115,6 @@ const td_schema_row calibrate_schema[] = {
      "in its plane, linear over the board, anew in each view"},
     {"board.ripple_m", TD_SCHEMA_REAL, true, false,
      "in its plane, of degree 2 and 3 over the board, anew in each view"},
-    {"board.noise_share", TD_SCHEMA_REAL, true, false,
-     "of the points' variance (noise_px and their own sigma) that is not the board's"},
     {"leave_one_out", TD_SCHEMA_OBJECT, true, false, "views held out in turn"},
     {"leave_one_out.views", TD_SCHEMA_INT, true, false, "held out; 0: too few"},
     {"leave_one_out.rms_px", TD_SCHEMA_REAL, true, true, "residual of held-out views, their pose fitted"},
@@ -410,7 +408,6 @@ json_t *calibrate_result(const calibrate_job *job)
         set(board, "bend_m", td_json_real(c->board.bend_m));
         set(board, "stretch_m", td_json_real(c->board.stretch_m));
         set(board, "ripple_m", td_json_real(c->board.ripple_m));
-        set(board, "noise_share", td_json_real(c->board.noise_share));
         set(root, "board", board);
     }
     set(loo, "views", json_integer((json_int_t)c->leave_one_out.views));

@@ -96,7 +96,7 @@ typedef struct equations {
     double *shared, *right;      /* (m,m), (m) */
     double *own, *by, *by_right; /* (poses,Q,Q), (poses,m,Q), (poses,Q) */
     double square;               /* of the residuals, what poses explain taken off */
-    double *scale;               /* (n) */
+    double *scale;               /* (n) 1/sqrt of the curvature with poses held */
 } equations;
 
 static void free_equations(equations *q)
@@ -129,17 +129,15 @@ typedef struct pose_equations {
     size_t rows;
 } pose_equations;
 
-/* What is fitted of the rig, by column; the warp's two follow. */
-static void mark_fitted(bool *fitted, const td_bundle *b, bool follow_rig)
+/* What is fitted of the rig, by column: held parameters too, whose values may be wrong; the warp's two
+ * follow. */
+static void mark_fitted(bool *fitted, const td_bundle *b)
 {
     size_t n = td_rig_parameter_count(b->rig);
     for (int c = 0; c < b->rig->count; c++) {
         size_t first = td_rig_parameter_offset(b->rig, c);
         size_t count = (size_t)td_camera_parameter_count(b->rig->camera[c].camera.model);
-        unsigned hold = follow_rig ? 0 : b->hold[c];
-        for (size_t k = 0; k < count; k++)
-            fitted[first + k] = !(hold & (k < 4 ? TD_HOLD_INTRINSICS : TD_HOLD_DISTORTION));
-        for (size_t k = 0; k < 6 && c > 0; k++) fitted[first + count + k] = !(hold & TD_HOLD_POSE);
+        for (size_t k = 0; k < count + (c > 0 ? 6 : 0); k++) fitted[first + k] = true;
     }
     fitted[n] = fitted[n + 1] = b->use_warp;
 }
@@ -171,6 +169,7 @@ static void add_row(equations *q, pose_equations *pose, const td_drift_row *row,
         for (size_t a = 0; a < k; a++) {
             double x = w * j[e][a], *to = q->shared + column[a] * m, *by = pose->by + column[a] * OWN;
             q->right[column[a]] += j[e][a] * r;
+            if (column[a] < q->n) q->scale[column[a]] += x * j[e][a];
             for (size_t b = 0; b < k; b++) to[column[b]] += x * j[e][b];
             for (size_t b = 0; b < OWN; b++) by[b] += x * own[e][b];
         }
@@ -239,7 +238,7 @@ static size_t choose_points(size_t chosen[MOST_POINTS], size_t points)
     return count;
 }
 
-static td_status sum_equations(equations *q, const td_bundle *b, bool follow_rig, td_error *error)
+static td_status sum_equations(equations *q, const td_bundle *b, td_error *error)
 {
     size_t chosen[MOST_POINTS], n = td_rig_parameter_count(b->rig) + 2;
     size_t points = choose_points(chosen, td_target_point_count(&b->observations->target));
@@ -253,7 +252,7 @@ static td_status sum_equations(equations *q, const td_bundle *b, bool follow_rig
     td_status status = fitted && pose && by
                            ? td_board_shapes(&shapes, &b->observations->target, error)
                            : td_fail(error, TD_ERROR_MEMORY, "no memory for the board's errors");
-    if (status == TD_OK) mark_fitted(fitted, b, follow_rig);
+    if (status == TD_OK) mark_fitted(fitted, b);
     for (size_t i = 0; i < b->pose_count && status == TD_OK; i += step) {
         *pose = (pose_equations){.by = by};
         memset(by, 0, q->m * OWN * sizeof *by);
@@ -265,9 +264,8 @@ static td_status sum_equations(equations *q, const td_bundle *b, bool follow_rig
         if (pose->rows > POSE) status = eliminate_pose(q, pose, error);
     }
     for (size_t i = 0; i < n; i++) {
-        double diagonal = q->shared[i * (q->m + 1)];
-        q->scale[i] = diagonal > 0 ? 1 / sqrt(diagonal) : 0;
-        q->fitted += diagonal > 0;
+        q->fitted += q->scale[i] > 0;
+        q->scale[i] = q->scale[i] > 0 ? 1 / sqrt(q->scale[i]) : 0;
     }
     free(fitted);
     free(pose);
@@ -429,15 +427,14 @@ static td_status find_sigmas(double sigma[TD_BOARD_PARTS], solution *s, const eq
     return TD_OK;
 }
 
-td_status td_board_error_estimate(td_board_error *board, const td_bundle *bundle, bool follow_rig,
-                                  td_error *error)
+td_status td_board_error_estimate(td_board_error *board, const td_bundle *bundle, td_error *error)
 {
     equations q;
     solution none, found;
     double sigma[TD_BOARD_PARTS] = {0};
     *board = (td_board_error){.noise_share = 1};
     if (!td_target_is_flat(&bundle->observations->target)) return TD_OK;
-    TD_TRY(sum_equations(&q, bundle, follow_rig, error));
+    TD_TRY(sum_equations(&q, bundle, error));
     td_status status = TD_OK;
     if (q.poses >= FEWEST_POSES && q.rows > q.fitted) {
         status = solve_equations(&none, &q, sigma, error);

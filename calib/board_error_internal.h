@@ -29,10 +29,10 @@ void td_board_columns(double u[2][TD_BOARD_COLUMNS], const td_drift_row *row, co
 int td_board_part(size_t column);
 double td_board_sigma(const td_board_error *board, int part);
 
-/* From the bundle's residuals at its minimum. `follow_rig`: rig parameters count as fitted though the bundle
- * holds them. Boards of several planes, fewer than 3 poses and what is not significant give no error. */
-td_status td_board_error_estimate(td_board_error *board, const td_bundle *bundle, bool follow_rig,
-                                  td_error *error);
+/* From the bundle's residuals at its minimum; what the bundle holds of the rig counts as fitted, since its
+ * values may be wrong. Boards of several planes, fewer than 3 poses and what is not significant give no
+ * error. */
+td_status td_board_error_estimate(td_board_error *board, const td_bundle *bundle, td_error *error);
 
 /* Adds their effect to the covariance of the problem that was built from the bundle. */
 td_status td_board_error_add(td_covariance *covariance, const td_board_error *board, const td_bundle *bundle,

@@ -118,7 +118,7 @@ typedef struct td_calibration {
     td_calibrated_pair pair[TD_RIG_MAX_CAMERAS];
     bool has_warp;
     double warp_m[2], sigma_warp_m[2];
-    td_board_error board; /* counted in every covariance and sigma */
+    td_board_error board; /* counted in every covariance and sigma; none when plain */
     double chi2_per_dof;  /* weighted residuals */
     double rms_px;        /* over all used points */
     td_leave_one_out leave_one_out;

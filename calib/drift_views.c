@@ -525,7 +525,7 @@ td_status td_drift_views_settle(td_drift_views *views, const td_drift_options *o
     if (status == TD_OK && !used)
         status =
             td_fail(error, TD_ERROR_DATA, "no view is left: too few points of the target are seen in each");
-    if (status == TD_OK) status = td_board_error_estimate(&views->board, b, true, error);
+    if (status == TD_OK) status = td_board_error_estimate(&views->board, b, error);
     free(rest);
     return status;
 }

@@ -235,7 +235,9 @@ td_status td_trust_covariance(td_calibration *result, td_bundle *bundle, const t
         calloc((size_t)2 * TD_RIG_MAX_CAMERAS * TD_MAX_BLOCK_SIZE * TD_MAX_BLOCK_SIZE, sizeof *store);
     if (!store) return td_fail(error, TD_ERROR_MEMORY, "no memory for a covariance");
     td_covariance *covariance = NULL;
-    td_status status = td_board_error_estimate(&result->board, bundle, false, error);
+    td_status status = TD_OK;
+    result->board = (td_board_error){.noise_share = 1};
+    if (!options->plain) status = td_board_error_estimate(&result->board, bundle, error);
     bundle->noise_share = result->board.noise_share;
     if (status == TD_OK) status = td_bundle_problem_new(&bp, bundle, NULL, error);
     if (status != TD_OK) {
