@@ -1,0 +1,123 @@
+/* A robot as a tree of links and joints, from URDF, and what URDF cannot say from a YAML file beside it.
+ *
+ * A link's frame is its joint's frame after the joint's motion. Joint k moves child against parent:
+ * parent_from_child(q) = origin_k Motion(axis_k, q_k): a turn (revolute, continuous) or a shift (prismatic).
+ * The state of a robot is the vector q of its moving joints, in the order of `joint` (rad or m). */
+#ifndef TELEDIMOS_CORE_ROBOT_H
+#define TELEDIMOS_CORE_ROBOT_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+#include "pose.h"
+#include "rig.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum {
+    TD_ROBOT_MAX_JOINTS = 64,
+    TD_ROBOT_MAX_LINKS = 256,
+    TD_ROBOT_MAX_SHAPES = 8,
+    TD_ROBOT_MAX_CYLINDERS = 8
+};
+
+typedef enum td_joint_kind {
+    TD_JOINT_FIXED,
+    TD_JOINT_REVOLUTE,
+    TD_JOINT_CONTINUOUS,
+    TD_JOINT_PRISMATIC
+} td_joint_kind;
+
+/* Collision shapes; boxes, spheres, cylinders of URDF; cylinders are taken as capsules of the same axis. */
+typedef enum td_shape_kind { TD_SHAPE_BOX, TD_SHAPE_CAPSULE, TD_SHAPE_SPHERE } td_shape_kind;
+typedef struct td_primitive {
+    td_shape_kind kind;
+    td_pose link_from_shape; /* capsule: along z */
+    double size[3];          /* m: box: full lengths; capsule: radius, length between the centres of its ends;
+                                sphere: radius */
+} td_primitive;
+
+typedef struct td_robot_link {
+    char name[TD_NAME_SIZE];
+    int parent;               /* link; -1: the root */
+    int joint;                /* that moves it against its parent; -1: fixed to it, or the root */
+    td_pose parent_from_link; /* at q = 0 */
+    double mass_kg, com_m[3],
+        inertia[9]; /* in the link's frame about its centre of mass, row-major; 0: not given */
+    int shape_count;
+    td_primitive shape[TD_ROBOT_MAX_SHAPES];
+} td_robot_link;
+
+typedef struct td_robot_joint {
+    char name[TD_NAME_SIZE];
+    td_joint_kind kind;
+    int link;            /* its child */
+    double axis[3];      /* unit vector in the child's frame */
+    double lower, upper; /* rad or m; -INFINITY, INFINITY */
+    double speed;        /* rad/s or m/s; INFINITY */
+    double acceleration; /* rad/s^2 or m/s^2, from the YAML; INFINITY */
+    double effort;       /* N m or N; INFINITY */
+} td_robot_joint;
+
+/* A hydraulic cylinder that drives a joint. Directly: its root is fixed to the joint's parent link, its rod
+ * eye to the child. Through a four-bar (the bucket): the eye is the joint of two bars, one from a pivot on
+ * the parent, one from a pivot on the child. All points in the plane across the joint's axis. */
+typedef struct td_cylinder {
+    char name[TD_NAME_SIZE];
+    int joint;
+    int count;            /* cylinders side by side */
+    double bore_m, rod_m; /* diameters */
+    double root[3];       /* in the parent link's frame, m */
+    bool four_bar;
+    double eye[3];                          /* directly: in the child link's frame */
+    double parent_pivot[3], child_pivot[3]; /* four-bar: in the parent's and the child's frame */
+    double parent_bar_m, child_bar_m;       /* from each pivot to the rod eye */
+    int branch; /* four-bar: on which side of the line between the pivots the eye is: 1, -1 */
+    double shortest_m, longest_m;
+    double pressure_pa, flow_m3_s; /* limits; INFINITY */
+} td_cylinder;
+
+typedef struct td_robot {
+    char name[TD_NAME_SIZE];
+    int link_count, joint_count, cylinder_count;
+    td_robot_link link[TD_ROBOT_MAX_LINKS];    /* parents before children */
+    td_robot_joint joint[TD_ROBOT_MAX_JOINTS]; /* the moving ones, parents before children */
+    td_cylinder cylinder[TD_ROBOT_MAX_CYLINDERS];
+    double suspension_n_m[3], suspension_ns_m[3]; /* heave, pitch, roll: stiffness and damping; 0: rigid */
+} td_robot;
+
+/* From a URDF file (through urdfdom), and the YAML of the same name beside it when there is one. Refused,
+ * naming it: no XML, two roots, loops, a missing link, limits the wrong way round, more links than fit. */
+TD_API td_status td_robot_read(td_robot **robot, const char *path, td_error *error);
+TD_API td_status td_robot_parse(td_robot **robot, const char *urdf, size_t urdf_size, const char *yaml,
+                                size_t yaml_size, const char *name, td_error *error);
+TD_API void td_robot_free(td_robot **robot);
+TD_API int td_robot_find_link(const td_robot *robot, const char *name);  /* -1: none */
+TD_API int td_robot_find_joint(const td_robot *robot, const char *name); /* -1: none */
+
+/* root_from_link of every link (link_count). */
+TD_API void td_robot_forward(td_pose *root_from_link, const td_robot *robot, const double *q);
+/* Geometric Jacobian (6, joint_count), row-major, of a link's pose in the root's frame: the left perturbation
+ * (pose.h) of root_from_link by each q; columns of joints that do not move it are 0. */
+TD_API void td_robot_jacobian(double *jacobian, const td_robot *robot, const td_pose *root_from_link,
+                              int link);
+/* Derivative (6,6) of root_from_link's left perturbation by a left perturbation of the fixed transform
+ * parent_from_link of link `moved`; zero when `link` does not hang on it. */
+TD_API void td_robot_link_derivative(double *derivative, const td_robot *robot, const td_pose *root_from_link,
+                                     int link, int moved);
+/* False, and the first joint out of its limits in *joint (may be NULL). */
+TD_API bool td_robot_within_limits(const td_robot *robot, const double *q, int *joint);
+
+/* Length of a cylinder at a joint angle, and the angle at a length (within the joint's limits); lever = d
+ * length / d angle, m. False outside the reach of the bars. */
+TD_API bool td_cylinder_length(double *length_m, double *lever_m, const td_robot *robot,
+                               const td_cylinder *cylinder, double angle);
+TD_API bool td_cylinder_angle(double *angle, const td_robot *robot, const td_cylinder *cylinder,
+                              double length_m);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
