@@ -31,9 +31,13 @@ typedef enum td_joint_kind {
 } td_joint_kind;
 
 /* Collision shapes; boxes, spheres, cylinders of URDF; cylinders are taken as capsules of the same axis. */
-typedef enum td_shape_kind { TD_SHAPE_BOX, TD_SHAPE_CAPSULE, TD_SHAPE_SPHERE } td_shape_kind;
+typedef enum td_primitive_kind {
+    TD_PRIMITIVE_BOX,
+    TD_PRIMITIVE_CAPSULE,
+    TD_PRIMITIVE_SPHERE
+} td_primitive_kind;
 typedef struct td_primitive {
-    td_shape_kind kind;
+    td_primitive_kind kind;
     td_pose link_from_shape; /* capsule: along z */
     double size[3];          /* m: box: full lengths; capsule: radius, length between the centres of its ends;
                                 sphere: radius */
@@ -48,6 +52,7 @@ typedef struct td_robot_link {
         inertia[9]; /* in the link's frame about its centre of mass, row-major; 0: not given */
     int shape_count;
     td_primitive shape[TD_ROBOT_MAX_SHAPES];
+    int mesh_count; /* collision meshes, which are left out */
 } td_robot_link;
 
 typedef struct td_robot_joint {
