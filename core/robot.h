@@ -2,7 +2,31 @@
  *
  * A link's frame is its joint's frame after the joint's motion. Joint k moves child against parent:
  * parent_from_child(q) = origin_k Motion(axis_k, q_k): a turn (revolute, continuous) or a shift (prismatic).
- * The state of a robot is the vector q of its moving joints, in the order of `joint` (rad or m). */
+ * The state of a robot is the vector q of its moving joints, in the order of `joint` (rad or m).
+ *
+ * The YAML beside x.urdf is x.yaml; all but its first line may be missing:
+ *
+ *   teledimos: robot 1
+ *   joints:
+ *     - {name: boom, acceleration_rad_s2: 0.7}                       (prismatic: acceleration_m_s2)
+ *   cylinders:
+ *     - name: boom
+ *       joint: boom                                                  (revolute)
+ *       count: 2                                                     (1 when missing)
+ *       bore_m: 0.12
+ *       rod_m: 0.085
+ *       root_m: [0.69, -0.04, 0.234]
+ *       eye_m: [2.2342, 0.0, 0.9507]                                 (or a four_bar:)
+ *       four_bar: {parent_pivot_m: [x, y, z], child_pivot_m: [x, y, z], parent_bar_m: 0.579,
+ *                  child_bar_m: 0.561, branch: -1}
+ *       shortest_m: 1.825
+ *       longest_m: 3.084
+ *       pressure_pa: 34.3e6                                          (unlimited when missing)
+ *       flow_m3_s: 7.07e-3                                           (unlimited when missing)
+ *   suspension:                                                      (rigid where missing)
+ *     heave: {stiffness_n_m: 1.3e7, damping_ns_m: 1.5e5}
+ *     pitch: {stiffness_nm_rad: 3.7e7, damping_nms_rad: 4.3e5}
+ *     roll: {stiffness_nm_rad: 1.6e7, damping_nms_rad: 1.8e5} */
 #ifndef TELEDIMOS_CORE_ROBOT_H
 #define TELEDIMOS_CORE_ROBOT_H
 
@@ -30,7 +54,8 @@ typedef enum td_joint_kind {
     TD_JOINT_PRISMATIC
 } td_joint_kind;
 
-/* Collision shapes; boxes, spheres, cylinders of URDF; cylinders are taken as capsules of the same axis. */
+/* Collision shapes: boxes, spheres, cylinders of URDF. A cylinder is taken as the capsule that holds it: its
+ * ends are rounded outwards. Meshes are left out, and counted. */
 typedef enum td_primitive_kind {
     TD_PRIMITIVE_BOX,
     TD_PRIMITIVE_CAPSULE,
@@ -81,7 +106,7 @@ typedef struct td_cylinder {
     double parent_bar_m, child_bar_m;       /* from each pivot to the rod eye */
     int branch; /* four-bar: on which side of the line between the pivots the eye is: 1, -1 */
     double shortest_m, longest_m;
-    double pressure_pa, flow_m3_s; /* limits; INFINITY */
+    double pressure_pa, flow_m3_s; /* limits; INFINITY. The flow is that to all `count` together */
 } td_cylinder;
 
 typedef struct td_robot {
@@ -90,11 +115,16 @@ typedef struct td_robot {
     td_robot_link link[TD_ROBOT_MAX_LINKS];    /* parents before children */
     td_robot_joint joint[TD_ROBOT_MAX_JOINTS]; /* the moving ones, parents before children */
     td_cylinder cylinder[TD_ROBOT_MAX_CYLINDERS];
-    double suspension_n_m[3], suspension_ns_m[3]; /* heave, pitch, roll: stiffness and damping; 0: rigid */
+    /* Heave (N/m, N s/m), pitch and roll (N m/rad, N m s/rad): stiffness and damping; 0: rigid. */
+    double suspension_n_m[3], suspension_ns_m[3];
 } td_robot;
 
 /* From a URDF file (through urdfdom), and the YAML of the same name beside it when there is one. Refused,
- * naming it: no XML, two roots, loops, a missing link, limits the wrong way round, more links than fit. */
+ * naming it: no XML, two roots, loops, a missing link, limits the wrong way round, an axis of no length,
+ * joints that mimic, float or slide in a plane, numbers that are none, more links, joints or depth than fit.
+ * A cylinder is refused unless, over its joint's whole range, its bars close, it passes no dead centre and
+ * its stroke suffices: so length and angle are each other's inverse there. td_robot_parse takes the texts
+ * themselves (yaml may be NULL); `name` is for messages. */
 TD_API td_status td_robot_read(td_robot **robot, const char *path, td_error *error);
 TD_API td_status td_robot_parse(td_robot **robot, const char *urdf, size_t urdf_size, const char *yaml,
                                 size_t yaml_size, const char *name, td_error *error);
@@ -105,7 +135,9 @@ TD_API int td_robot_find_joint(const td_robot *robot, const char *name); /* -1: 
 /* root_from_link of every link (link_count). */
 TD_API void td_robot_forward(td_pose *root_from_link, const td_robot *robot, const double *q);
 /* Geometric Jacobian (6, joint_count), row-major, of a link's pose in the root's frame: the left perturbation
- * (pose.h) of root_from_link by each q; columns of joints that do not move it are 0. */
+ * (pose.h) of root_from_link by each q; columns of joints that do not move it are 0. Its last three rows are
+ * thus the velocity of the link's point that is at the root's origin; that of a point p is tau + omega x p.
+ */
 TD_API void td_robot_jacobian(double *jacobian, const td_robot *robot, const td_pose *root_from_link,
                               int link);
 /* Derivative (6,6) of root_from_link's left perturbation by a left perturbation of the fixed transform

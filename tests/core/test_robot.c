@@ -384,8 +384,8 @@ static void check_cylinder(const td_robot *robot, const td_cylinder *c, double t
     assert_false(td_cylinder_angle(&angle, robot, c, NAN));
 }
 
-/* A cylinder whose plane, axis and fixed transform are turned every way: lengths must be as with the plain
- * one. */
+/* A cylinder whose plane, axis and fixed transform are turned every way, and its joint's zero by up to half a
+ * turn: lengths must be as with the plain one. */
 static void test_turned_cylinder(void **state)
 {
     (void)state;
@@ -399,6 +399,7 @@ static void test_turned_cylinder(void **state)
             td_robot_joint *joint = turned->joint + c->joint;
             td_pose *fixed = &turned->link[joint->link].parent_from_link;
             double xi[2][6];
+            const double zero = PI * (2 * td_random_uniform(&random) - 1);
             for (int k = 0; k < 12; k++) xi[k / 6][k % 6] = td_random_normal(&random);
             /* New frames for parent and child. */
             const td_pose parent = td_pose_exp(xi[0]);
@@ -408,18 +409,24 @@ static void test_turned_cylinder(void **state)
             *fixed = td_pose_compose(&parent, fixed);
             *fixed = td_pose_compose(fixed, &back);
             td_pose_rotate(joint->axis, &child, joint->axis);
+            td_pose shift = td_pose_identity();
+            const double turn[3] = {-zero * joint->axis[0], -zero * joint->axis[1], -zero * joint->axis[2]};
+            td_rotation_exp(shift.q, turn);
+            *fixed = td_pose_compose(fixed, &shift);
             td_pose_transform(c->root, &parent, c->root);
             td_pose_transform(c->parent_pivot, &parent, c->parent_pivot);
             td_pose_transform(c->eye, &child, c->eye);
             td_pose_transform(c->child_pivot, &child, c->child_pivot);
             const double q = joint->lower + (joint->upper - joint->lower) * td_random_uniform(&random);
             double a = 0, b = 1, lever_a = 0, lever_b = 1, angle = 0;
+            joint->lower += zero;
+            joint->upper += zero;
             assert_true(td_cylinder_length(&a, &lever_a, plain, plain->cylinder + i, q));
-            assert_true(td_cylinder_length(&b, &lever_b, turned, c, q));
+            assert_true(td_cylinder_length(&b, &lever_b, turned, c, q + zero));
             check_near(a, b, 1e-13);
             check_near(lever_a, lever_b, 1e-12);
             assert_true(td_cylinder_angle(&angle, turned, c, b));
-            check_near(angle, q, 1e-10);
+            check_near(angle, q + zero, 1e-10);
         }
     free(turned);
     td_robot_free(&plain);
@@ -430,6 +437,9 @@ static void test_cylinder_maps(void **state)
     (void)state;
     td_robot *robot = read_robot(ZX200);
     for (int i = 0; i < robot->cylinder_count; i++) check_cylinder(robot, robot->cylinder + i, 1e-10);
+    /* Within the stroke, but beyond the joint's limit. */
+    double angle = 0;
+    assert_false(td_cylinder_angle(&angle, robot, robot->cylinder, 3.084));
     td_robot_free(&robot);
 }
 
@@ -766,6 +776,9 @@ static void test_files(void **state)
     td_robot_free(&robot);
     check_ok(td_file_write(yaml, "3", 1, &error), error);
     check_fails(td_robot_read(&robot, urdf, &error), TD_ERROR_FORMAT, error, "r.yaml:");
+    assert_int_equal(remove(yaml), 0);
+    check_ok(td_folder_make(yaml, &error), error);
+    check_fails(td_robot_read(&robot, urdf, &error), TD_ERROR_IO, error, "r.yaml: is a folder");
     free(urdf);
     free(yaml);
 }
