@@ -3,7 +3,7 @@
 
 TD_BUILD_PACKAGES="gcc g++ cmake ninja-build ccache pkg-config libopencv-dev libvisp-dev libceres-dev liblapacke-dev
     libopenblas-dev libyaml-dev libjansson-dev libpng-dev libjpeg-dev libssl-dev libapriltag-dev libopencv-contrib-dev
-    libcairo2-dev libxml2-dev libzip-dev libwebsockets-dev"
+    libcairo2-dev libxml2-dev liburdfdom-dev libzip-dev libwebsockets-dev"
 TD_DATA_PACKAGES="opencv-doc visp-images-data"
 
 td_install() {
@@ -15,9 +15,10 @@ td_install() {
         echo "== installing packages:$missing"
         if [ "$(id -u)" -eq 0 ]; then as_root=; else as_root=sudo; fi
         $as_root apt-get update -q
-        # Slim images of Debian drop documentation; two data sets live there.
+        # Slim images of Debian drop documentation; data sets live there.
         $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends \
-            -o Dpkg::Options::="--path-include=/usr/share/doc/opencv-doc/*" $missing
+            -o Dpkg::Options::="--path-include=/usr/share/doc/opencv-doc/*" \
+            -o Dpkg::Options::="--path-include=/usr/share/doc/dart/*" $missing
     fi
 }
 
