@@ -10,11 +10,6 @@ static td_status check_point(const td_vehicle_data *data, int p, td_error *error
     if (point->link < 0 || point->link >= data->robot->link_count)
         return td_fail(error, TD_ERROR_ARGUMENT, "point %s: link %d: the robot %s has links 0 to %d", point->name,
                        point->link, data->robot->name, data->robot->link_count - 1);
-    if (point->link == data->mount)
-        return td_fail(error, TD_ERROR_DATA,
-                       "point %s is on %s, which carries the cameras: take points on a link that moves "
-                       "against it",
-                       point->name, data->robot->link[data->mount].name);
     for (int i = 0; i < 3; i++) {
         double sigma = point->sigma[i], place = point->place[i];
         if (!(sigma >= 0))
@@ -25,6 +20,11 @@ static td_status check_point(const td_vehicle_data *data, int p, td_error *error
             return td_fail(error, TD_ERROR_ARGUMENT,
                            "point %s: %c is %g m: give a length within 1000 m, or leave it free", point->name,
                            "xyz"[i], place);
+        if (point->link == data->mount && !isfinite(sigma))
+            return td_fail(error, TD_ERROR_DATA,
+                           "point %s is on %s, which carries the cameras, and its place is free: measure it, or "
+                           "take points on a link that moves against that one",
+                           point->name, data->robot->link[data->mount].name);
     }
     return TD_OK;
 }

@@ -273,7 +273,7 @@ bool td_vehicle_linearise(double by_mount[12], double *by_joint, double by_place
 static td_status add_known(td_problem *problem, int *block, double *value, const double *mean,
                            const double *sigma, int size, bool local, td_error *error)
 {
-    double weight[TD_MAX_BLOCK_SIZE * TD_MAX_BLOCK_SIZE] = {0};
+    double weight[TD_MAX_BLOCK_SIZE * TD_MAX_BLOCK_SIZE] = {0}, about[TD_MAX_BLOCK_SIZE] = {0};
     int held = 0, priors = 0;
     TD_TRY(td_problem_add_block(problem, block, value, size, TD_VECTOR, local, error));
     for (int i = 0; i < size; i++) held += sigma[i] == 0;
@@ -283,10 +283,11 @@ static td_status add_known(td_problem *problem, int *block, double *value, const
             TD_TRY(td_problem_hold_component(problem, *block, i, error));
         } else if (isfinite(sigma[i])) {
             weight[i * (size + 1)] = 1 / sigma[i];
+            about[i] = mean[i]; /* that of a free component may be no number */
             priors++;
         }
     }
-    return priors ? td_problem_add_prior(problem, *block, mean, weight, error) : TD_OK;
+    return priors ? td_problem_add_prior(problem, *block, about, weight, error) : TD_OK;
 }
 
 static td_status add_blocks(td_vehicle_problem *vp, td_vehicle_model *model, const bool *pose_used,

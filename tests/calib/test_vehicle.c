@@ -52,7 +52,7 @@ static void test_jacobians(void **state)
     (void)state;
     scene s;
     td_error error;
-    scene_make(&s, false);
+    scene_make(&s, true);
     scene_add_board(&s, true);
     scene_free_place(&s, 1, 0);
     for (int j = 0; j < SCENE_JOINTS; j++) s.offset_prior[j] = 0.01;
@@ -334,8 +334,10 @@ static void test_bad_input(void **state)
     check_fails(td_vehicle_solve(&v, &s.data, NULL, &error), TD_ERROR_ARGUMENT, error, "s4");
     s.point[3].sigma[0] = 0;
     s.point[3].link = s.data.mount;
+    s.point[3].sigma[0] = INFINITY;
     check_fails(td_vehicle_solve(&v, &s.data, NULL, &error), TD_ERROR_DATA, error, "carries the cameras");
     s.point[3].link = s.point[0].link;
+    s.point[3].sigma[0] = 0;
     s.sigma_q[1] = NAN;
     check_fails(td_vehicle_solve(&v, &s.data, NULL, &error), TD_ERROR_ARGUMENT, error, "boom_pin");
     s.sigma_q[1] = 0;
