@@ -53,7 +53,8 @@ TD_API td_status td_kinematic_solve(td_kinematic **result, const td_kinematic_da
                                     const td_kinematic_options *options, td_error *error);
 TD_API void td_kinematic_free(td_kinematic **result);
 /* rig_from_target as the calibrated chain says it for readings q. */
-TD_API td_pose td_kinematic_predict(const td_kinematic *result, const td_kinematic_data *data, const double *q);
+TD_API td_pose td_kinematic_predict(const td_kinematic *result, const td_kinematic_data *data,
+                                    const double *q);
 
 #ifdef __cplusplus
 }

@@ -121,7 +121,8 @@ static td_status solve(td_vehicle_model *model, const td_vehicle_options *option
 
 /* ---- the result ---- */
 
-static void fill_estimates(td_vehicle *result, const td_vehicle_model *model, const td_vehicle_options *options)
+static void fill_estimates(td_vehicle *result, const td_vehicle_model *model,
+                           const td_vehicle_options *options)
 {
     const td_vehicle_data *data = model->data;
     double sum = 0;
@@ -141,8 +142,8 @@ static void fill_estimates(td_vehicle *result, const td_vehicle_model *model, co
         if (!model->used[s]) {
             result->outliers++;
             td_log_write(options->log, TD_LOG_WARNING, "vehicle",
-                         "left out: point %s in pose %zu as camera %s sees it", data->point[sight->point].name,
-                         sight->pose, data->rig->camera[sight->camera].name);
+                         "left out: point %s in pose %zu as camera %s sees it",
+                         data->point[sight->point].name, sight->pose, data->rig->camera[sight->camera].name);
         } else if (td_vehicle_residual(r, model, sight)) {
             sum += r[0] * r[0] + r[1] * r[1];
             used++;
@@ -211,9 +212,10 @@ static td_status fill_closed(td_vehicle *result, const td_vehicle_model *model, 
     td_pose mount_from_rig, from_mount = vehicle_from_mount(model->data);
     TD_TRY(td_vehicle_closed(&mount_from_rig, &result->closed_poses, model, error));
     if (needed && !result->closed_poses)
-        return td_fail(error, TD_ERROR_DATA,
-                       "the closed way needs a pose in which two cameras see at least six points of known places "
-                       "that are not on a line: show more points, or measure their places");
+        return td_fail(
+            error, TD_ERROR_DATA,
+            "the closed way needs a pose in which two cameras see at least six points of known places "
+            "that are not on a line: show more points, or measure their places");
     result->closed = td_pose_compose(&from_mount, &mount_from_rig);
     if (needed) {
         result->mount_from_rig = mount_from_rig;
@@ -223,8 +225,8 @@ static td_status fill_closed(td_vehicle *result, const td_vehicle_model *model, 
     return TD_OK;
 }
 
-td_status td_vehicle_solve(td_vehicle **result, const td_vehicle_data *data, const td_vehicle_options *options,
-                           td_error *error)
+td_status td_vehicle_solve(td_vehicle **result, const td_vehicle_data *data,
+                           const td_vehicle_options *options, td_error *error)
 {
     td_vehicle_options o = options ? *options : td_vehicle_options_default();
     td_vehicle_model model;
@@ -240,9 +242,10 @@ td_status td_vehicle_solve(td_vehicle **result, const td_vehicle_data *data, con
         if (status == TD_OK) fill_estimates(*result, &model, &o);
         if (status == TD_OK) status = fill_trust(*result, &model, &o, error);
         if (status == TD_OK && !converged && !(*result)->null_count)
-            status = td_fail(error, TD_ERROR_CONVERGENCE,
-                             "vehicle: the joint solution did not settle: check the robot's file, units and signs "
-                             "of the joints, and the points' names");
+            status =
+                td_fail(error, TD_ERROR_CONVERGENCE,
+                        "vehicle: the joint solution did not settle: check the robot's file, units and signs "
+                        "of the joints, and the points' names");
     }
     td_vehicle_model_free(&model);
     if (status != TD_OK) td_vehicle_free(result);

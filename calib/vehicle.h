@@ -67,10 +67,10 @@ typedef struct td_vehicle {
                                       frame found, the arm's kinematics, the mean over the poses */
     size_t closed_poses;           /* that the mean is over, each with six known points or more; 0: none */
     double *offset, *sigma_offset; /* (joints) */
-    double (*place)[3], (*sigma_place)[3]; /* (points) m */
-    double rms_px, chi2_per_dof;   /* NaN: no redundancy */
-    bool *left_out;                /* (sights) */
-    size_t outliers;               /* how many of them */
+    double (*place)[3], (*sigma_place)[3];          /* (points) m */
+    double rms_px, chi2_per_dof;                    /* NaN: no redundancy */
+    bool *left_out;                                 /* (sights) */
+    size_t outliers;                                /* how many of them */
     double sigma_tip_worst_mm, sigma_tip_median_mm; /* over the working space: see td_vehicle_tip_sigma */
     size_t null_count;
     char null_direction[8][320]; /* refused: in the machine's words, with what to do */
@@ -92,8 +92,8 @@ TD_API void td_vehicle_free(td_vehicle **result);
 TD_API td_status td_vehicle_tip_sigma(double covariance[9], const td_vehicle *result,
                                       const td_vehicle_data *data, int tip, const double *q, td_error *error);
 
-/* The arm pose (q: joints), of a grid over the joints' limits, that would make the tip's sigma over the working
- * space smallest if the same points were seen in it. */
+/* The arm pose (q: joints), of a grid over the joints' limits, that would make the tip's sigma over the
+ * working space smallest if the same points were seen in it. */
 TD_API td_status td_vehicle_advise(double *q, char text[320], const td_vehicle *result,
                                    const td_vehicle_data *data, td_error *error);
 

@@ -8,8 +8,8 @@ static td_status check_point(const td_vehicle_data *data, int p, td_error *error
 {
     const td_vehicle_point *point = &data->point[p];
     if (point->link < 0 || point->link >= data->robot->link_count)
-        return td_fail(error, TD_ERROR_ARGUMENT, "point %s: link %d: the robot %s has links 0 to %d", point->name,
-                       point->link, data->robot->name, data->robot->link_count - 1);
+        return td_fail(error, TD_ERROR_ARGUMENT, "point %s: link %d: the robot %s has links 0 to %d",
+                       point->name, point->link, data->robot->name, data->robot->link_count - 1);
     for (int i = 0; i < 3; i++) {
         double sigma = point->sigma[i], place = point->place[i];
         if (!(sigma >= 0))
@@ -21,10 +21,11 @@ static td_status check_point(const td_vehicle_data *data, int p, td_error *error
                            "point %s: %c is %g m: give a length within 1000 m, or leave it free", point->name,
                            "xyz"[i], place);
         if (point->link == data->mount && !isfinite(sigma))
-            return td_fail(error, TD_ERROR_DATA,
-                           "point %s is on %s, which carries the cameras, and its place is free: measure it, or "
-                           "take points on a link that moves against that one",
-                           point->name, data->robot->link[data->mount].name);
+            return td_fail(
+                error, TD_ERROR_DATA,
+                "point %s is on %s, which carries the cameras, and its place is free: measure it, or "
+                "take points on a link that moves against that one",
+                point->name, data->robot->link[data->mount].name);
     }
     return TD_OK;
 }
@@ -34,10 +35,10 @@ static td_status check_sight(const td_vehicle_data *data, size_t s, td_error *er
     const td_vehicle_sight *sight = &data->sight[s];
     if (sight->pose >= data->pose_count || sight->camera < 0 || sight->camera >= data->rig->count ||
         sight->point < 0 || sight->point >= data->point_count)
-        return td_fail(error, TD_ERROR_ARGUMENT,
-                       "sight %zu: pose %zu, camera %d, point %d: there are %zu poses, %d cameras and %d points",
-                       s, sight->pose, sight->camera, sight->point, data->pose_count, data->rig->count,
-                       data->point_count);
+        return td_fail(
+            error, TD_ERROR_ARGUMENT,
+            "sight %zu: pose %zu, camera %d, point %d: there are %zu poses, %d cameras and %d points", s,
+            sight->pose, sight->camera, sight->point, data->pose_count, data->rig->count, data->point_count);
     if (!isfinite(sight->pixel[0]) || !isfinite(sight->pixel[1]) || !(sight->sigma_px > 0) ||
         !isfinite(sight->sigma_px))
         return td_fail(error, TD_ERROR_ARGUMENT,
@@ -61,11 +62,12 @@ static td_status check_reading(const td_vehicle_data *data, size_t pose, int j, 
                        joint->name, q);
     if (joint->kind == TD_JOINT_CONTINUOUS || (q >= joint->lower - margin && q <= joint->upper + margin))
         return TD_OK;
-    return td_fail(error, TD_ERROR_DATA,
-                   "pose %zu: joint %s reads %.4g %s, outside its limits of %.4g to %.4g %s: check units, sign "
-                   "and zero of the sensor, or the limits in the robot's file",
-                   pose, joint->name, q * unit, shift ? "m" : "deg", joint->lower * unit, joint->upper * unit,
-                   shift ? "m" : "deg");
+    return td_fail(
+        error, TD_ERROR_DATA,
+        "pose %zu: joint %s reads %.4g %s, outside its limits of %.4g to %.4g %s: check units, sign "
+        "and zero of the sensor, or the limits in the robot's file",
+        pose, joint->name, q * unit, shift ? "m" : "deg", joint->lower * unit, joint->upper * unit,
+        shift ? "m" : "deg");
 }
 
 static td_status check_joints(const td_vehicle_data *data, td_error *error)
@@ -76,10 +78,11 @@ static td_status check_joints(const td_vehicle_data *data, td_error *error)
                            "joint %s: sigma of a reading is %g: give 0 or more (rad or m)",
                            data->robot->joint[j].name, data->sigma_q[j]);
         if (!(data->offset_prior[j] >= 0))
-            return td_fail(error, TD_ERROR_ARGUMENT,
-                           "joint %s: sigma of its zero is %g: give 0 (held), a prior in rad or m, or infinity "
-                           "(free)",
-                           data->robot->joint[j].name, data->offset_prior[j]);
+            return td_fail(
+                error, TD_ERROR_ARGUMENT,
+                "joint %s: sigma of its zero is %g: give 0 (held), a prior in rad or m, or infinity "
+                "(free)",
+                data->robot->joint[j].name, data->offset_prior[j]);
         for (size_t k = 0; k < data->pose_count; k++) TD_TRY(check_reading(data, k, j, error));
     }
     return TD_OK;
@@ -91,16 +94,19 @@ td_status td_vehicle_check(const td_vehicle_data *data, const td_vehicle_options
         return td_fail(error, TD_ERROR_ARGUMENT, "vehicle: give a robot and a rig");
     int links = data->robot->link_count;
     if (data->mount < 0 || data->mount >= links || data->vehicle < 0 || data->vehicle >= links)
-        return td_fail(error, TD_ERROR_ARGUMENT, "vehicle: mount %d, vehicle %d: the robot %s has links 0 to %d",
-                       data->mount, data->vehicle, data->robot->name, links - 1);
+        return td_fail(error, TD_ERROR_ARGUMENT,
+                       "vehicle: mount %d, vehicle %d: the robot %s has links 0 to %d", data->mount,
+                       data->vehicle, data->robot->name, links - 1);
     if (options->tip < -1 || options->tip >= links)
-        return td_fail(error, TD_ERROR_ARGUMENT, "vehicle: tip %d: the robot %s has links 0 to %d", options->tip,
-                       data->robot->name, links - 1);
+        return td_fail(error, TD_ERROR_ARGUMENT, "vehicle: tip %d: the robot %s has links 0 to %d",
+                       options->tip, data->robot->name, links - 1);
     if (!(options->outlier_sigma >= 0))
-        return td_fail(error, TD_ERROR_ARGUMENT, "outlier_sigma is %g: give 0 or more", options->outlier_sigma);
-    if (data->pose_count == 0 || data->sight_count == 0 || !data->q || !data->sigma_q || !data->offset_prior ||
-        !data->sight)
-        return td_fail(error, TD_ERROR_DATA, "vehicle: no poses or no sights: there is nothing to solve from");
+        return td_fail(error, TD_ERROR_ARGUMENT, "outlier_sigma is %g: give 0 or more",
+                       options->outlier_sigma);
+    if (data->pose_count == 0 || data->sight_count == 0 || !data->q || !data->sigma_q ||
+        !data->offset_prior || !data->sight)
+        return td_fail(error, TD_ERROR_DATA,
+                       "vehicle: no poses or no sights: there is nothing to solve from");
     if (data->point_count < 1 || data->point_count > TD_VEHICLE_MAX_POINTS || !data->point)
         return td_fail(error, TD_ERROR_ARGUMENT, "vehicle: %d points: give 1 to %d", data->point_count,
                        TD_VEHICLE_MAX_POINTS);

@@ -43,11 +43,11 @@ typedef struct td_vehicle_problem {
 
 /* What is known of: the perturbation of mount_from_rig (6), the chain's offsets, the points' places (3 each).
  *
- * Open directions are those along which the sights say nothing (null), and those along which the rig's pose is
- * known to no better than TD_VEHICLE_OPEN (a turn counts by what it does at TD_VEHICLE_REACH): joint noise
+ * Open directions are those along which the sights say nothing (null), and those along which the rig's pose
+ * is known to no better than TD_VEHICLE_OPEN (a turn counts by what it does at TD_VEHICLE_REACH): joint noise
  * alone can make an open direction look determined to some metres. The covariance along null directions is
  * 1 (rad or m)^2. */
-#define TD_VEHICLE_OPEN 0.3 /* m */
+#define TD_VEHICLE_OPEN 0.3  /* m */
 #define TD_VEHICLE_REACH 3.0 /* m */
 typedef struct td_vehicle_belief {
     int joints, points;

@@ -68,7 +68,8 @@ static td_status factor_rig(td_vehicle_model *model, td_error *error)
     double *correlation = work, *vector = correlation + n * n, *value = vector + n * n, *sigma = value + n;
     model->factor = calloc(n * n + 1, sizeof *model->factor);
     td_status status = TD_OK;
-    if (!work || !model->factor) status = td_fail(error, TD_ERROR_MEMORY, "no memory for the rig's covariance");
+    if (!work || !model->factor)
+        status = td_fail(error, TD_ERROR_MEMORY, "no memory for the rig's covariance");
     if (status == TD_OK) {
         for (size_t i = 0; i < n; i++) sigma[i] = sqrt(fmax(rig->covariance[i * (n + 1)], 0));
         for (size_t i = 0; i < n; i++)
@@ -206,9 +207,8 @@ static bool evaluate(double *residual, double *const *jacobian, const double *co
     for (int k = 0; k < n; k++) q[model->joint[k]] += block[OFFSET][k] + block[NOISE][k];
     td_pose mount_from_rig;
     memcpy(&mount_from_rig, block[MOUNT], sizeof mount_from_rig);
-    td_pose mount_from_link =
-        td_vehicle_arm(jacobian ? by_joint : NULL, data->robot, data->mount, data->point[sight->point].link,
-                       q, model->joint, n);
+    td_pose mount_from_link = td_vehicle_arm(jacobian ? by_joint : NULL, data->robot, data->mount,
+                                             data->point[sight->point].link, q, model->joint, n);
     td_pose rig_from_mount = td_pose_inverse(&mount_from_rig);
     td_rig_camera camera = deviated_camera(model, sight->camera, block + CHUNKS, chunks);
     td_pose camera_from_mount = td_pose_compose(&camera.camera_from_rig, &rig_from_mount);

@@ -1,9 +1,9 @@
 /* Where the joint problem begins, and the paper's closed way.
  *
  * Points seen by two cameras of the rig are triangulated. With known places, mount_from_rig is their absolute
- * orientation (Kabsch 1976; Horn 1987) against where the arm's kinematics puts them. With unknown coordinates,
- * R y + t = A (places) is linear in R, t and those coordinates; parallel axes leave the row of R along them at
- * zero, and the nearest rotation supplies it. */
+ * orientation (Kabsch 1976; Horn 1987) against where the arm's kinematics puts them. With unknown
+ * coordinates, R y + t = A (places) is linear in R, t and those coordinates; parallel axes leave the row of R
+ * along them at zero, and the nearest rotation supplies it. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -50,7 +50,8 @@ static bool triangulate(double x[3], const td_vehicle_model *model, const size_t
             if (s->camera == o->camera) continue;
             td_pose rig_from_first = td_pose_inverse(&first->camera_from_rig),
                     second_from_first = td_pose_compose(&second->camera_from_rig, &rig_from_first);
-            if (!td_triangulate_pair(p, &first->camera, &second->camera, &second_from_first, s->pixel, o->pixel))
+            if (!td_triangulate_pair(p, &first->camera, &second->camera, &second_from_first, s->pixel,
+                                     o->pixel))
                 continue;
             td_pose_transform(p, &rig_from_first, p);
             for (int i = 0; i < 3; i++) sum[i] += p[i];
@@ -60,7 +61,8 @@ static bool triangulate(double x[3], const td_vehicle_model *model, const size_t
     return found > 0;
 }
 
-static void add_fix(fixes *out, const td_vehicle_model *model, size_t pose, int p, const size_t *list, int count)
+static void add_fix(fixes *out, const td_vehicle_model *model, size_t pose, int p, const size_t *list,
+                    int count)
 {
     const td_vehicle_point *point = &model->data->point[p];
     fix f = {.pose = pose, .point = p, .weight = 1, .known = is_known(point)};
@@ -122,10 +124,12 @@ static bool orient(td_pose *mount_from_rig, const fix *f, size_t count)
             h[k] += f[i].weight * a * (f[i].rig[k % 3] - r[k % 3] / sum);
             scatter[k] += f[i].weight * a * (f[i].mount[k % 3] - m[k % 3] / sum);
         }
-    if (td_eigen_symmetric(value, NULL, scatter, 3, NULL) != TD_OK || !(value[1] > LINE * value[2])) return false;
+    if (td_eigen_symmetric(value, NULL, scatter, 3, NULL) != TD_OK || !(value[1] > LINE * value[2]))
+        return false;
     if (td_nearest_rotation(rotation, h, NULL) != TD_OK) return false;
     for (int k = 0; k < 3; k++)
-        t[k] = (m[k] - rotation[3 * k] * r[0] - rotation[3 * k + 1] * r[1] - rotation[3 * k + 2] * r[2]) / sum;
+        t[k] =
+            (m[k] - rotation[3 * k] * r[0] - rotation[3 * k + 1] * r[1] - rotation[3 * k + 2] * r[2]) / sum;
     *mount_from_rig = td_pose_from_rotation(rotation, t);
     return true;
 }
@@ -161,9 +165,10 @@ static bool start_known(td_vehicle_model *model, fixes *all)
         for (size_t i = 0; i < all->count && ok; i++) {
             double x[3];
             td_pose_transform(x, &model->mount_from_rig, all->fix[i].rig);
-            distance[i] = all->fix[i].known ? hypot(hypot(x[0] - all->fix[i].mount[0], x[1] - all->fix[i].mount[1]),
-                                                    x[2] - all->fix[i].mount[2])
-                                            : -1;
+            distance[i] = all->fix[i].known
+                              ? hypot(hypot(x[0] - all->fix[i].mount[0], x[1] - all->fix[i].mount[1]),
+                                      x[2] - all->fix[i].mount[2])
+                              : -1;
         }
         ok = ok && reweight(all, distance);
     }
@@ -250,10 +255,11 @@ static td_status start_unknown(td_vehicle_model *model, fixes *all, td_error *er
             bool is_free = !isfinite(data->point[p].sigma[k]);
             l.column[p][k] = is_free && found[p] ? (int)unknown++ : -1;
             if (is_free && !found[p] && model->seen[p])
-                return td_fail(error, TD_ERROR_DATA,
-                               "point %s: its place is free and no pose shows it to two cameras: give its place, "
-                               "or leave it out",
-                               data->point[p].name);
+                return td_fail(
+                    error, TD_ERROR_DATA,
+                    "point %s: its place is free and no pose shows it to two cameras: give its place, "
+                    "or leave it out",
+                    data->point[p].name);
         }
     size_t rows = 3 * all->count + 12 + unknown;
     l.a = calloc(rows * (12 + unknown), sizeof *l.a);
@@ -276,77 +282,105 @@ static td_status start_unknown(td_vehicle_model *model, fixes *all, td_error *er
 
 /* ---- one camera ---- */
 
-/* Resection by the camera with most sights: ray x (R m + t) = 0 (direct linear transform), m centred and
- * scaled. */
-static bool start_resection(td_vehicle_model *model)
+/* What one camera says of points of known places: rays (camera's frame) and places (mount's frame). */
+typedef struct resection {
+    size_t count;
+    double (*ray)[3], (*place)[3];
+    double centre[3], spread;
+} resection;
+
+static int busiest_camera(size_t *sights, const td_vehicle_data *data)
 {
-    const td_vehicle_data *data = model->data;
-    size_t most = 0, n = 0;
-    int camera = -1;
+    int camera = 0;
+    *sights = 0;
     for (int c = 0; c < data->rig->count; c++) {
         size_t count = 0;
         for (size_t s = 0; s < data->sight_count; s++)
             count += data->sight[s].camera == c && is_known(&data->point[data->sight[s].point]);
-        if (count > most) most = count, camera = c;
+        if (count > *sights) {
+            *sights = count;
+            camera = c;
+        }
     }
-    if (most < CLOSED_POINTS) return false;
-    size_t step = 1 + 3 * most / MOST_ROWS;
-    double *a = calloc(36 * most + 1, sizeof *a), *m = calloc(3 * most + 1, sizeof *m), centre[3] = {0}, x[12],
-           ratio = 0, spread = 0;
-    bool ok = a && m;
-    for (size_t s = 0; s < data->sight_count && ok; s++) {
+    return camera;
+}
+
+static void collect(resection *r, const td_vehicle_model *model, int camera, size_t step)
+{
+    const td_vehicle_data *data = model->data;
+    for (size_t s = 0; s < data->sight_count; s += step) {
         const td_vehicle_sight *sight = &data->sight[s];
-        double q[TD_ROBOT_MAX_JOINTS], ray[3];
-        if (sight->camera != camera || !is_known(&data->point[sight->point]) || s % step) continue;
-        if (!td_camera_unproject(ray, NULL, NULL, &data->rig->camera[camera].camera, sight->pixel)) continue;
+        const td_vehicle_point *point = &data->point[sight->point];
+        const td_camera *c = &data->rig->camera[camera].camera;
+        double q[TD_ROBOT_MAX_JOINTS];
+        if (sight->camera != camera || !is_known(point)) continue;
+        if (!td_camera_unproject(r->ray[r->count], NULL, NULL, c, sight->pixel)) continue;
         td_vehicle_joints(q, model, sight->pose);
-        td_pose arm =
-            td_vehicle_arm(NULL, data->robot, data->mount, data->point[sight->point].link, q, NULL, 0);
-        td_pose_transform(m + 3 * n, &arm, data->point[sight->point].place);
-        for (int i = 0; i < 3; i++) {
-            centre[i] += m[3 * n + (size_t)i];
-            /* Kept where the rows will be; ray x is formed below. */
-            a[36 * n + (size_t)i] = ray[i];
-        }
-        n++;
+        td_pose arm = td_vehicle_arm(NULL, data->robot, data->mount, point->link, q, NULL, 0);
+        td_pose_transform(r->place[r->count++], &arm, point->place);
     }
-    for (size_t i = 0; i < 3 * n && ok; i++) spread += pow(m[i] - centre[i % 3] / (double)n, 2);
-    spread = sqrt(spread / (double)(n ? n : 1));
-    ok = ok && n >= CLOSED_POINTS && spread > 0;
-    for (size_t i = 0; i < n && ok; i++) {
-        double ray[3];
-        memcpy(ray, a + 36 * i, sizeof ray);
-        memset(a + 36 * i, 0, 36 * sizeof *a);
-        const double cross[9] = {0, -ray[2], ray[1], ray[2], 0, -ray[0], -ray[1], ray[0], 0};
-        for (int r = 0; r < 3; r++)
-            for (int k = 0; k < 3; k++) {
-                double *at = a + 36 * i + 12 * r + 4 * k;
-                for (int c = 0; c < 3; c++)
-                    at[c] = cross[3 * r + k] * (m[3 * i + (size_t)c] - centre[c] / (double)n) / spread;
-                at[3] = cross[3 * r + k];
-            }
-    }
-    ok = ok && td_null_vector(x, &ratio, a, 3 * n, 12, NULL) == TD_OK && ratio > 1e-6;
-    if (ok) {
-        double r[9], t[3], h[9], scale = 0;
-        for (int k = 0; k < 9; k++) h[k] = x[4 * (k / 3) + k % 3];
-        double det = h[0] * (h[4] * h[8] - h[5] * h[7]) - h[1] * (h[3] * h[8] - h[5] * h[6]) +
-                     h[2] * (h[3] * h[7] - h[4] * h[6]);
-        for (int k = 0; k < 12 && det < 0; k++) x[k] = -x[k];
-        for (int k = 0; k < 9; k++) h[k] = x[4 * (k / 3) + k % 3];
-        ok = td_nearest_rotation(r, h, NULL) == TD_OK;
-        for (int k = 0; k < 9 && ok; k++) scale += r[k] * h[k] / 3;
-        for (int k = 0; k < 3 && ok; k++) {
-            t[k] = x[4 * k + 3] / scale * spread;
-            for (int c = 0; c < 3; c++) t[k] -= r[3 * k + c] * centre[c] / (double)n;
-        }
-        if (ok) {
-            td_pose camera_from_mount = td_pose_from_rotation(r, t), mount = td_pose_inverse(&camera_from_mount);
-            model->mount_from_rig = td_pose_compose(&mount, &data->rig->camera[camera].camera_from_rig);
+    for (size_t i = 0; i < 3 * r->count; i++) r->centre[i % 3] += r->place[i / 3][i % 3] / (double)r->count;
+    for (size_t i = 0; i < 3 * r->count; i++)
+        r->spread += pow(r->place[i / 3][i % 3] - r->centre[i % 3], 2) / (double)r->count;
+    r->spread = sqrt(r->spread);
+}
+
+/* x = [R t] up to scale, of centred and scaled places: the null vector of ray x (R m + t). */
+static bool linear_transform(double x[12], const resection *r)
+{
+    double ratio = 0, *a = calloc(36 * r->count, sizeof *a);
+    if (!a) return false;
+    for (size_t i = 0; i < r->count; i++) {
+        const double *d = r->ray[i], cross[9] = {0, -d[2], d[1], d[2], 0, -d[0], -d[1], d[0], 0};
+        for (int k = 0; k < 9; k++) {
+            double *at = a + 36 * i + 12 * (k / 3) + 4 * (k % 3);
+            for (int c = 0; c < 3; c++) at[c] = cross[k] * (r->place[i][c] - r->centre[c]) / r->spread;
+            at[3] = cross[k];
         }
     }
+    bool ok = td_null_vector(x, &ratio, a, 3 * r->count, 12, NULL) == TD_OK && ratio > 1e-6;
     free(a);
-    free(m);
+    return ok;
+}
+
+/* camera_from_mount out of x. */
+static bool pose_of(td_pose *camera_from_mount, const double x[12], const resection *r)
+{
+    double h[9], rotation[9], t[3], scale = 0;
+    for (int k = 0; k < 9; k++) h[k] = x[4 * (k / 3) + k % 3];
+    double det = h[0] * (h[4] * h[8] - h[5] * h[7]) - h[1] * (h[3] * h[8] - h[5] * h[6]) +
+                 h[2] * (h[3] * h[7] - h[4] * h[6]);
+    for (int k = 0; k < 9 && det < 0; k++) h[k] = -h[k];
+    if (td_nearest_rotation(rotation, h, NULL) != TD_OK) return false;
+    for (int k = 0; k < 9; k++) scale += rotation[k] * h[k] / 3;
+    for (int k = 0; k < 3; k++) {
+        t[k] = (det < 0 ? -x[4 * k + 3] : x[4 * k + 3]) / scale * r->spread;
+        for (int c = 0; c < 3; c++) t[k] -= rotation[3 * k + c] * r->centre[c];
+    }
+    *camera_from_mount = td_pose_from_rotation(rotation, t);
+    return true;
+}
+
+/* Resection by the camera with most sights (direct linear transform). */
+static bool start_resection(td_vehicle_model *model)
+{
+    const td_vehicle_data *data = model->data;
+    size_t sights;
+    int camera = busiest_camera(&sights, data);
+    resection r = {.ray = calloc(sights + 1, sizeof *r.ray), .place = calloc(sights + 1, sizeof *r.place)};
+    double x[12];
+    td_pose camera_from_mount;
+    bool ok = r.ray && r.place;
+    if (ok) collect(&r, model, camera, 1 + 3 * sights / MOST_ROWS);
+    ok = ok && r.count >= CLOSED_POINTS && r.spread > 0 && linear_transform(x, &r) &&
+         pose_of(&camera_from_mount, x, &r);
+    if (ok) {
+        td_pose mount_from_camera = td_pose_inverse(&camera_from_mount);
+        model->mount_from_rig =
+            td_pose_compose(&mount_from_camera, &data->rig->camera[camera].camera_from_rig);
+    }
+    free(r.ray);
+    free(r.place);
     return ok;
 }
 
@@ -355,15 +389,17 @@ static td_status cannot_start(const td_vehicle_model *model, const fixes *all, t
     int seen = 0;
     for (int p = 0; p < model->data->point_count; p++) seen += model->seen[p];
     if (all->count >= 3)
-        return td_fail(error, TD_ERROR_DATA,
-                       "the %d points lie on a line in every pose: take points off that line, or move the arm "
-                       "across it",
-                       seen);
-    return td_fail(error, TD_ERROR_DATA,
-                   "%d points, of which %zu sights by two cameras could be triangulated: show at least three "
-                   "points that are not on a line to a pair of cameras, or six known ones, not in one plane, to "
-                   "one camera",
-                   seen, all->count);
+        return td_fail(
+            error, TD_ERROR_DATA,
+            "the %d points lie on a line in every pose: take points off that line, or move the arm "
+            "across it",
+            seen);
+    return td_fail(
+        error, TD_ERROR_DATA,
+        "%d points, of which %zu sights by two cameras could be triangulated: show at least three "
+        "points that are not on a line to a pair of cameras, or six known ones, not in one plane, to "
+        "one camera",
+        seen, all->count);
 }
 
 td_status td_vehicle_start(td_vehicle_model *model, td_error *error)
@@ -378,10 +414,11 @@ td_status td_vehicle_start(td_vehicle_model *model, td_error *error)
             status = cannot_start(model, &all, error);
     } else if (status == TD_OK) {
         if (td_vehicle_distinct_poses(model) == 1)
-            status = td_fail(error, TD_ERROR_DATA,
-                             "the arm stands in the same pose in all %zu images and places of points are free: "
-                             "move the arm between images, or measure the places",
-                             model->data->pose_count);
+            status =
+                td_fail(error, TD_ERROR_DATA,
+                        "the arm stands in the same pose in all %zu images and places of points are free: "
+                        "move the arm between images, or measure the places",
+                        model->data->pose_count);
         else if (all.count < 3)
             status = cannot_start(model, &all, error);
         else
@@ -402,7 +439,8 @@ td_status td_vehicle_closed(td_pose *mount_from_rig, size_t *poses, const td_veh
     for (size_t i = 0, end; i < all.count && status == TD_OK; i = end) {
         td_pose one;
         size_t known = 0;
-        for (end = i; end < all.count && all.fix[end].pose == all.fix[i].pose; end++) known += all.fix[end].known;
+        for (end = i; end < all.count && all.fix[end].pose == all.fix[i].pose; end++)
+            known += all.fix[end].known;
         if (known < CLOSED_POINTS || !orient(&one, all.fix + i, end - i)) continue;
         td_pose_rotation(r, &one);
         for (int k = 0; k < 9; k++) sum[k] += r[k];

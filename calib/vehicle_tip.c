@@ -13,8 +13,8 @@ enum { GRID_MOST = 4096, ADVICE_MOST = 700, ADVICE_COARSE = 60 };
 
 /* ---- belief ---- */
 
-static double null_part(const td_vehicle_belief *b, const td_vehicle_problem *vp, const td_covariance *covariance,
-                        size_t index, size_t i)
+static double null_part(const td_vehicle_belief *b, const td_vehicle_problem *vp,
+                        const td_covariance *covariance, size_t index, size_t i)
 {
     size_t n = (size_t)b->joints;
     if (i < 6) return td_covariance_null_direction(covariance, index, vp->mount, (int)i);
@@ -45,8 +45,10 @@ static bool add_open(td_vehicle_belief *b, double *c)
     size_t n = b->size;
     if (b->open_count == TD_VEHICLE_MAX_OPEN) return false;
     for (int i = 0; i < 6; i++) unit[i] = i < 3 ? TD_VEHICLE_REACH : 1;
-    for (int i = 0; i < 36; i++) block[i] = c[(size_t)(i / 6) * n + (size_t)(i % 6)] * unit[i / 6] * unit[i % 6];
-    if (td_eigen_symmetric(value, vector, block, 6, NULL) != TD_OK || !(value[5] > TD_VEHICLE_OPEN * TD_VEHICLE_OPEN))
+    for (int i = 0; i < 36; i++)
+        block[i] = c[(size_t)(i / 6) * n + (size_t)(i % 6)] * unit[i / 6] * unit[i % 6];
+    if (td_eigen_symmetric(value, vector, block, 6, NULL) != TD_OK ||
+        !(value[5] > TD_VEHICLE_OPEN * TD_VEHICLE_OPEN))
         return false;
     double *v = b->open + b->open_count++ * n;
     for (size_t i = 0; i < n; i++) {
@@ -57,8 +59,8 @@ static bool add_open(td_vehicle_belief *b, double *c)
     return true;
 }
 
-static td_status find_open(td_vehicle_belief *b, const td_vehicle_problem *vp, const td_covariance *covariance,
-                           td_error *error)
+static td_status find_open(td_vehicle_belief *b, const td_vehicle_problem *vp,
+                           const td_covariance *covariance, td_error *error)
 {
     size_t n = b->size, nulls = td_covariance_null_count(covariance);
     double *c = malloc(n * n * sizeof *c);
@@ -66,7 +68,8 @@ static td_status find_open(td_vehicle_belief *b, const td_vehicle_problem *vp, c
     memcpy(c, b->covariance, n * n * sizeof *c);
     for (size_t k = 0; k < nulls && k < TD_VEHICLE_MAX_OPEN; k++) add_null(b, vp, covariance, k);
     for (size_t k = 0; k < b->open_count; k++)
-        for (size_t i = 0; i < n * n; i++) b->covariance[i] += b->open[k * n + i / n] * b->open[k * n + i % n];
+        for (size_t i = 0; i < n * n; i++)
+            b->covariance[i] += b->open[k * n + i / n] * b->open[k * n + i % n];
     while (add_open(b, c)) continue;
     free(c);
     return TD_OK;
@@ -166,11 +169,12 @@ td_status td_vehicle_tip_sigma(double covariance[9], const td_vehicle *result, c
     double gradient[3 * (6 + TD_VEHICLE_MAX_CHAIN)], other[9], in_mount[9], r[9];
     if (!b) return td_fail(error, TD_ERROR_ARGUMENT, "tip: there is no covariance, only the closed solution");
     if (result->null_count)
-        return td_fail(error, TD_ERROR_DATA, "tip: the transform is not determined: %s", result->null_direction[0]);
+        return td_fail(error, TD_ERROR_DATA, "tip: the transform is not determined: %s",
+                       result->null_direction[0]);
     if (tip == -1) tip = b->tip;
     if (tip < 0 || tip >= data->robot->link_count)
-        return td_fail(error, TD_ERROR_ARGUMENT, "tip %d: the robot %s has links 0 to %d", tip, data->robot->name,
-                       data->robot->link_count - 1);
+        return td_fail(error, TD_ERROR_ARGUMENT, "tip %d: the robot %s has links 0 to %d", tip,
+                       data->robot->name, data->robot->link_count - 1);
     TD_TRY(tip_gradient(gradient, other, result, data, tip, q, error));
     int width = 6 + b->joints;
     for (int i = 0; i < 9; i++) {
@@ -204,8 +208,8 @@ static void limits_of(double *low, double *high, const td_robot_joint *joint)
     *high = !round && isfinite(joint->upper) ? joint->upper : reach;
 }
 
-static td_status grid_new(grid *g, const td_vehicle_data *data, int from, int to, int most_levels, size_t most,
-                          td_error *error)
+static td_status grid_new(grid *g, const td_vehicle_data *data, int from, int to, int most_levels,
+                          size_t most, td_error *error)
 {
     *g = (grid){.robot = data->robot, .total = 1};
     TD_TRY(td_vehicle_add_chain(g->joint, &g->n, data->robot, from, to, error));
@@ -285,7 +289,8 @@ static td_status tip_weight(double *weight, double *constant, const td_vehicle *
         TD_TRY(tip_gradient(gradient, other, result, data, result->belief->tip, q, error));
         for (int k = 0; k < width * width; k++)
             for (int r = 0; r < 3; r++)
-                weight[k] += gradient[r * width + k / width] * gradient[r * width + k % width] / (double)g.total;
+                weight[k] +=
+                    gradient[r * width + k / width] * gradient[r * width + k % width] / (double)g.total;
         *constant += (other[0] + other[4] + other[8]) / (double)g.total;
     }
     return TD_OK;
@@ -295,7 +300,8 @@ static double tip_variance(const double *covariance, size_t size, const double *
 {
     double sum = 0;
     for (int i = 0; i < width; i++)
-        for (int k = 0; k < width; k++) sum += weight[i * width + k] * covariance[(size_t)i * size + (size_t)k];
+        for (int k = 0; k < width; k++)
+            sum += weight[i * width + k] * covariance[(size_t)i * size + (size_t)k];
     return sum;
 }
 
@@ -325,7 +331,8 @@ static bool see(double *c, size_t n, td_vehicle_model *model, double sigma_px, d
             double by_mount[12], by_joint[2 * TD_VEHICLE_MAX_CHAIN], by_place[6], pixel[2];
             const td_camera *c0 = &data->rig->camera[camera].camera;
             if (!model->seen[p] || !td_vehicle_residual(pixel, model, &sight)) continue;
-            if (pixel[0] < 0 || pixel[1] < 0 || pixel[0] > c0->width - 1 || pixel[1] > c0->height - 1) continue;
+            if (pixel[0] < 0 || pixel[1] < 0 || pixel[0] > c0->width - 1 || pixel[1] > c0->height - 1)
+                continue;
             if (!td_vehicle_linearise(by_mount, by_joint, by_place, model, &sight)) continue;
             any = true;
             for (int row = 0; row < 2; row++) {
@@ -402,14 +409,16 @@ td_status td_vehicle_advise(double *q, char text[320], const td_vehicle *result,
                             td_error *error)
 {
     const td_vehicle_belief *b = result->belief;
-    if (!b) return td_fail(error, TD_ERROR_ARGUMENT, "advice: there is no covariance, only the closed solution");
+    if (!b)
+        return td_fail(error, TD_ERROR_ARGUMENT, "advice: there is no covariance, only the closed solution");
     td_vehicle_model model;
     td_vehicle_data one = *data;
     double candidate[TD_ROBOT_MAX_JOINTS];
     size_t n = b->size + (size_t)b->joints;
     advice a = {.c = calloc(n * n, sizeof *a.c), .work = calloc(2 * n, sizeof *a.work)};
     td_status status = td_vehicle_model_new(&model, data, error);
-    if (status == TD_OK && (!a.c || !a.work)) status = td_fail(error, TD_ERROR_MEMORY, "no memory for advice");
+    if (status == TD_OK && (!a.c || !a.work))
+        status = td_fail(error, TD_ERROR_MEMORY, "no memory for advice");
     if (status == TD_OK) status = tip_weight(a.weight, &a.constant, result, data, error);
     if (status == TD_OK) {
         memset(model.noise, 0, (size_t)model.joints * sizeof *model.noise);

@@ -1,9 +1,10 @@
 /* What the sights leave open, in the words of the machine.
  *
  * Open directions come as any basis of their space. What they may mean is known beforehand from the machine:
- * a shift along the parallel axes of its joints, a turn of the rig about a joint that the joint's zero undoes,
- * a joint's zero that free places undo. Each such direction that lies in the space (its part over the rig's
- * pose and the zeros) is told in its words; what is left of the space is told by its largest component. */
+ * a shift along the parallel axes of its joints, a turn of the rig about a joint that the joint's zero
+ * undoes, a joint's zero that free places undo. Each such direction that lies in the space (its part over the
+ * rig's pose and the zeros) is told in its words; what is left of the space is told by its largest component.
+ */
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -74,7 +75,8 @@ static void screws(double (*screw)[6], const td_vehicle_model *model)
 }
 
 /* Members of the largest set of turning joints with parallel axes; their direction. */
-static int parallel_joints(bool *member, double direction[3], const td_vehicle_model *model, double (*screw)[6])
+static int parallel_joints(bool *member, double direction[3], const td_vehicle_model *model,
+                           double (*screw)[6])
 {
     int best = 0;
     for (int k = 0; k < model->joints; k++) {
@@ -82,7 +84,8 @@ static int parallel_joints(bool *member, double direction[3], const td_vehicle_m
         int count = 0;
         for (int o = 0; o < model->joints; o++) {
             double dot = screw[k][0] * screw[o][0] + screw[k][1] * screw[o][1] + screw[k][2] * screw[o][2];
-            set[o] = model->data->robot->joint[model->joint[k]].kind != TD_JOINT_PRISMATIC && fabs(dot) > 0.9999;
+            set[o] =
+                model->data->robot->joint[model->joint[k]].kind != TD_JOINT_PRISMATIC && fabs(dot) > 0.9999;
             count += set[o];
         }
         if (count <= best) continue;
@@ -171,16 +174,18 @@ static void tell_sideways(td_vehicle *result, space *s, const td_vehicle_model *
     }
     direction_words(axis, wanted + 3, robot->link[model->data->mount].name);
     if (still >= 0)
-        add_text(result->null_direction, &result->null_count,
-                 "sideways along the axis of %.30s (%s): %s turn about parallel axes and %.30s stood still: slew "
-                 "between images, or measure one point's lateral place",
-                 robot->joint[model->joint[first]].name, axis, names, robot->joint[still].name);
+        add_text(
+            result->null_direction, &result->null_count,
+            "sideways along the axis of %.30s (%s): %s turn about parallel axes and %.30s stood still: slew "
+            "between images, or measure one point's lateral place",
+            robot->joint[model->joint[first]].name, axis, names, robot->joint[still].name);
     else
-        add_text(result->null_direction, &result->null_count,
-                 "sideways along the axis of %.30s (%s): the points' lateral places are free and %s turn about "
-                 "parallel axes: measure one point's lateral place, or look at a fixed board on the ground while "
-                 "slewing",
-                 robot->joint[model->joint[first]].name, axis, names);
+        add_text(
+            result->null_direction, &result->null_count,
+            "sideways along the axis of %.30s (%s): the points' lateral places are free and %s turn about "
+            "parallel axes: measure one point's lateral place, or look at a fixed board on the ground while "
+            "slewing",
+            robot->joint[model->joint[first]].name, axis, names);
 }
 
 static void tell_zeros(td_vehicle *result, space *s, const td_vehicle_model *model, double (*screw)[6])
@@ -193,18 +198,20 @@ static void tell_zeros(td_vehicle *result, space *s, const td_vehicle_model *mod
         if (model->data->offset_prior[model->joint[k]] == 0) continue;
         wanted[6 + k] = 1;
         if (accept(s, wanted))
-            add_text(result->null_direction, &result->null_count,
-                     "zero of %.40s: the points beyond it are free, and their places undo it: give the zero of "
-                     "%.40s a tight prior, or measure the points' places on their link",
-                     name, name);
+            add_text(
+                result->null_direction, &result->null_count,
+                "zero of %.40s: the points beyond it are free, and their places undo it: give the zero of "
+                "%.40s a tight prior, or measure the points' places on their link",
+                name, name);
         memcpy(wanted, screw[k], 6 * sizeof *wanted);
         if (!accept(s, wanted)) continue;
         bool shift = robot->joint[model->joint[k]].kind == TD_JOINT_PRISMATIC;
         direction_words(axis, shift ? screw[k] + 3 : screw[k], robot->link[model->data->mount].name);
-        add_text(result->null_direction, &result->null_count,
-                 "%s of the rig about the axis of %.40s (%s) against that joint's zero: give the zero of %.40s a "
-                 "tight prior, or measure it",
-                 shift ? "shift" : turn_word(screw[k]), name, axis, name);
+        add_text(
+            result->null_direction, &result->null_count,
+            "%s of the rig about the axis of %.40s (%s) against that joint's zero: give the zero of %.40s a "
+            "tight prior, or measure it",
+            shift ? "shift" : turn_word(screw[k]), name, axis, name);
     }
 }
 
@@ -217,18 +224,18 @@ static void tell_other(td_vehicle *result, const td_vehicle_model *model, const 
     double most = 0;
     for (size_t i = 0; i < size; i++) {
         double sum = 0;
-        for (size_t k = 0; k < s->count; k++)
-            sum += c[k] * b->open[k * size + i];
+        for (size_t k = 0; k < s->count; k++) sum += c[k] * b->open[k * size + i];
         /* The rig's pose comes first in what is told. */
         if (i >= 6) sum *= 0.3;
         if (fabs(sum) > most) most = fabs(sum), largest = i;
     }
     const char *mount = robot->link[model->data->mount].name;
     if (largest < 6)
-        add_text(result->null_direction, &result->null_count,
-                 "%s of the rig %s %c of %.40s, with what goes along: move the arm through other poses, show more "
-                 "points, or measure their places",
-                 largest < 3 ? "turn" : "shift", largest < 3 ? "about" : "along", "xyz"[largest % 3], mount);
+        add_text(
+            result->null_direction, &result->null_count,
+            "%s of the rig %s %c of %.40s, with what goes along: move the arm through other poses, show more "
+            "points, or measure their places",
+            largest < 3 ? "turn" : "shift", largest < 3 ? "about" : "along", "xyz"[largest % 3], mount);
     else if (largest < 6 + n)
         add_text(result->null_direction, &result->null_count,
                  "zero of %.40s: give it a prior, or move that joint between images",
@@ -237,7 +244,7 @@ static void tell_other(td_vehicle *result, const td_vehicle_model *model, const 
         add_text(result->null_direction, &result->null_count,
                  "place of point %.40s along %c of %.40s: measure it, or show the point in other poses",
                  model->data->point[(largest - 6 - n) / 3].name, "xyz"[(largest - 6 - n) % 3],
-                 robot->link[model->data->point[(largest - 6 - n) / 3].link].name);
+                 robot -> link[model->data->point[(largest - 6 - n) / 3].link].name);
 }
 
 void td_vehicle_null_words(td_vehicle *result, const td_vehicle_model *model)
@@ -247,16 +254,14 @@ void td_vehicle_null_words(td_vehicle *result, const td_vehicle_model *model)
     double screw[TD_VEHICLE_MAX_CHAIN][6];
     result->null_count = 0;
     if (!s.count) return;
-    for (size_t k = 0; k < s.count; k++)
-        memcpy(s.part[k], b->open + k * b->size, s.parts * sizeof *b->open);
+    for (size_t k = 0; k < s.count; k++) memcpy(s.part[k], b->open + k * b->size, s.parts * sizeof *b->open);
     screws(screw, model);
     tell_sideways(result, &s, model, screw);
     tell_zeros(result, &s, model, screw);
     for (size_t k = 0; k < s.count; k++) {
         double c[MOST_NULL] = {0};
         c[k] = 1;
-        if (keep_coefficients(&s, c))
-            tell_other(result, model, &s, s.coefficient[s.told - 1]);
+        if (keep_coefficients(&s, c)) tell_other(result, model, &s, s.coefficient[s.told - 1]);
     }
 }
 
@@ -283,15 +288,16 @@ void td_vehicle_weak_words(td_vehicle *result, const td_vehicle_model *model)
     weak_half(result, model, 0);
     weak_half(result, model, 1);
     if (distinct < data->pose_count && model->joints)
-        add_text(result->weak, &result->weak_count,
-                 "arm poses repeat: the %zu images show %zu different poses: a pose seen again tells little new",
-                 data->pose_count, distinct);
+        add_text(
+            result->weak, &result->weak_count,
+            "arm poses repeat: the %zu images show %zu different poses: a pose seen again tells little new",
+            data->pose_count, distinct);
     for (int k = 0; k < model->joints; k++) {
         int j = model->joint[k];
         double prior = data->offset_prior[j];
         if (prior > 0 && isfinite(prior) && result->sigma_offset[j] > 0.9 * prior)
             add_text(result->weak, &result->weak_count,
-                     "zero of %.60s: the images say no more than its prior of %.3g", data->robot->joint[j].name,
-                     prior);
+                     "zero of %.60s: the images say no more than its prior of %.3g",
+                     data->robot->joint[j].name, prior);
     }
 }

@@ -1,14 +1,15 @@
-/* Proves: kinematic calibration finds a simulated chain's wrong origins again (prediction exact without noise,
- * the noise's sigma with noise), and predicts held-out poses of a real two-joint positioner (industrial
- * calibration's example; every fifth pose held out) to less than 2 mm and 0.2 degrees on average.
+/* Proves: kinematic calibration finds a simulated chain's wrong origins again (prediction exact without
+ * noise, the noise's sigma with noise), and predicts held-out poses of a real two-joint positioner
+ * (industrial calibration's example; every fifth pose held out) to less than 2 mm and 0.2 degrees on average.
  * Blind to: errors that are no wrong origin, such as bending under load. */
 #include "calib/kinematic.h"
 
+#include "calib/kinematic_internal.h"
 #include "core/document.h"
 #include "core/file.h"
 #include "core/linalg.h"
 #include "core/random.h"
-#include "tests/check.h"
+#include "tests/jacobians.h"
 
 #define DEGREES 57.29577951308232
 
@@ -23,8 +24,8 @@ static const char *const positioner_urdf =
 
 enum { COUNT = 60 };
 
-static void simulate(double (*q)[2], td_pose *seen, const td_robot *robot, const td_pose *rig, const td_pose *target,
-                     double sigma)
+static void simulate(double (*q)[2], td_pose *seen, const td_robot *robot, const td_pose *rig,
+                     const td_pose *target, double sigma)
 {
     td_random random = td_random_seed(4, 0);
     td_pose root_from_link[TD_ROBOT_MAX_LINKS], rig_from_root = td_pose_inverse(rig);
@@ -45,6 +46,35 @@ static void simulate(double (*q)[2], td_pose *seen, const td_robot *robot, const
         seen[i] = td_pose_compose(&turn, &seen[i]);
         memcpy(seen[i].t, kept.t, sizeof kept.t);
     }
+}
+
+static void test_jacobians(void **state)
+{
+    (void)state;
+    td_error error;
+    td_robot *robot;
+    double q[COUNT][2];
+    td_pose seen[COUNT], rig = td_pose_exp((double[]){0.3, -0.4, 0.2, 2.0, 0.5, 1.0}),
+                         target = td_pose_exp((double[]){-1, 0.5, 0.7, 0.2, -0.5, 0.4});
+    check_ok(
+        td_robot_parse(&robot, positioner_urdf, strlen(positioner_urdf), NULL, 0, "positioner.urdf", &error),
+        error);
+    for (int reversed = 0; reversed < 2; reversed++) {
+        bool used[COUNT] = {true, true, true};
+        td_kinematic_data data = {robot, reversed ? 2 : 0, reversed ? 0 : 2, 3, q[0], seen};
+        td_kin_model m = {
+            .data = &data, .joints = 2, .joint = {0, 1}, .sigma_rad = 0.1, .sigma_m = 0.2, .used = used};
+        td_kinematic_options options = td_kinematic_options_default();
+        td_kin_problem p;
+        simulate(q, seen, robot, &rig, &target, 0.2);
+        m.mount_from_rig = rig;
+        m.link_from_target = target;
+        for (int i = 0; i < 12; i++) m.correction[i] = 0.03 * (i % 5) - 0.05;
+        check_ok(td_kin_problem_new(&p, &m, &options, &error), error);
+        check_problem_jacobians(p.problem, 1e-6);
+        td_kin_problem_free(&p);
+    }
+    td_robot_free(&robot);
 }
 
 static void test_simulated(void **state)
@@ -109,7 +139,8 @@ static void test_real(void **state)
         td_pose *pose = hold ? &held[held_count] : &seen[count];
         static const char *const name[] = {"qw", "qx", "qy", "qz", "x", "y", "z"};
         double length = 0;
-        for (int k = 0; k < 7; k++) (k < 4 ? pose->q : pose->t - 4)[k] = json_number_value(json_object_get(p, name[k]));
+        for (int k = 0; k < 7; k++)
+            *(k < 4 ? &pose->q[k] : &pose->t[k - 4]) = json_number_value(json_object_get(p, name[k]));
         for (int k = 0; k < 4; k++) length = hypot(length, pose->q[k]);
         for (int k = 0; k < 4; k++) pose->q[k] /= length;
         for (size_t k = 0; k < 2; k++)
@@ -117,8 +148,9 @@ static void test_real(void **state)
         *(hold ? &held_count : &count) += 1;
     }
     json_decref(root);
-    check_ok(td_robot_parse(&robot, positioner_urdf, strlen(positioner_urdf), NULL, 0, "positioner.urdf", &error),
-             error);
+    check_ok(
+        td_robot_parse(&robot, positioner_urdf, strlen(positioner_urdf), NULL, 0, "positioner.urdf", &error),
+        error);
     for (int corrected = 0; corrected < 2; corrected++) {
         td_kinematic *k;
         td_kinematic_data data = {robot, 0, 2, count, q[0], seen};
@@ -135,10 +167,11 @@ static void test_real(void **state)
             worst_mm = fmax(worst_mm, m);
             worst_deg = fmax(worst_deg, a);
         }
-        print_message("%s: %zu of %zu poses used, %zu held out: mean %.3f mm, %.4f deg; worst %.3f mm, %.4f deg; "
-                      "sigma of an axis %.3f mm, %.4f deg\n",
-                      corrected ? "origins free" : "origins held", k->used, count, held_count, mm, deg, worst_mm,
-                      worst_deg, 1e3 * k->sigma_m, DEGREES * k->sigma_rad);
+        print_message(
+            "%s: %zu of %zu poses used, %zu held out: mean %.3f mm, %.4f deg; worst %.3f mm, %.4f deg; "
+            "sigma of an axis %.3f mm, %.4f deg\n",
+            corrected ? "origins free" : "origins held", k->used, count, held_count, mm, deg, worst_mm,
+            worst_deg, 1e3 * k->sigma_m, DEGREES * k->sigma_rad);
         for (int j = 0; j < 2 && corrected; j++)
             print_message("  %s: %.3f %.3f %.3f deg, %.2f %.2f %.2f mm\n", robot->joint[j].name,
                           DEGREES * k->correction[j][0], DEGREES * k->correction[j][1],
@@ -161,8 +194,9 @@ static void test_bad_input(void **state)
     td_kinematic *k;
     double q[8][2];
     td_pose seen[8];
-    check_ok(td_robot_parse(&robot, positioner_urdf, strlen(positioner_urdf), NULL, 0, "positioner.urdf", &error),
-             error);
+    check_ok(
+        td_robot_parse(&robot, positioner_urdf, strlen(positioner_urdf), NULL, 0, "positioner.urdf", &error),
+        error);
     for (int i = 0; i < 8; i++) {
         q[i][0] = 0.1 * i;
         q[i][1] = 0.5;
@@ -186,8 +220,8 @@ static void test_bad_input(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_simulated), cmocka_unit_test(test_real),
-                                       cmocka_unit_test(test_bad_input)};
+    const struct CMUnitTest tests[] = {cmocka_unit_test(test_jacobians), cmocka_unit_test(test_simulated),
+                                       cmocka_unit_test(test_real), cmocka_unit_test(test_bad_input)};
     td_linalg_single_thread();
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

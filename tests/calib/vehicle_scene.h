@@ -31,9 +31,9 @@ typedef struct scene {
     td_robot *robot;
     td_rig *rig;
     td_vehicle_data data;
-    td_pose mount_from_rig;           /* truth */
-    double offset[SCENE_JOINTS];      /* truth */
-    double place[SCENE_POINTS][3];    /* truth */
+    td_pose mount_from_rig;        /* truth */
+    double offset[SCENE_JOINTS];   /* truth */
+    double place[SCENE_POINTS][3]; /* truth */
     td_vehicle_point point[SCENE_POINTS];
     double reading[SCENE_POSES * SCENE_JOINTS], angle[SCENE_POSES * SCENE_JOINTS]; /* noisy; true */
     double sigma_q[SCENE_JOINTS], offset_prior[SCENE_JOINTS];
@@ -48,7 +48,8 @@ static inline td_rig *scene_rig(void)
     for (int c = 0; c < 2; c++) {
         td_rig_camera *camera = &rig->camera[c];
         snprintf(camera->name, sizeof camera->name, c ? "right" : "left");
-        camera->camera = (td_camera){TD_CAMERA_BROWN5, 1280, 960, {900, 901, 640, 480, -0.1, 0.05, 1e-4, 2e-4}};
+        camera->camera =
+            (td_camera){TD_CAMERA_BROWN5, 1280, 960, {900, 901, 640, 480, -0.1, 0.05, 1e-4, 2e-4}};
         camera->camera_from_rig = td_pose_identity();
     }
     td_rotation_exp(rig->camera[1].camera_from_rig.q, (double[]){0.002, 0.01, -0.003});
@@ -60,7 +61,8 @@ static inline td_rig *scene_rig(void)
 static inline td_pose scene_mount_pose(bool on_cab)
 {
     /* Camera x right = -y, y down = -z, z forward = x; then a slight tilt. */
-    const double r[9] = {0, 0, 1, -1, 0, 0, 0, -1, 0}, on_top[3] = {0.9, 0.35, 1.7}, below[3] = {1.6, 0.2, 1.1};
+    const double r[9] = {0, 0, 1, -1, 0, 0, 0, -1, 0}, on_top[3] = {0.9, 0.35, 1.7},
+                 below[3] = {1.6, 0.2, 1.1};
     td_pose straight = td_pose_from_rotation(r, on_cab ? on_top : below);
     td_pose tilt = td_pose_exp((double[]){0.03, on_cab ? 0.06 : -0.15, 0.02, 0, 0, 0});
     td_pose turned = straight;
@@ -70,7 +72,8 @@ static inline td_pose scene_mount_pose(bool on_cab)
     return turned;
 }
 
-static inline bool scene_sees(double pixel[2], const scene *s, const td_pose *root_from_link, int camera, int p)
+static inline bool scene_sees(double pixel[2], const scene *s, const td_pose *root_from_link, int camera,
+                              int p)
 {
     double x[3];
     td_pose mount_from_root = td_pose_inverse(&root_from_link[s->data.mount]);
@@ -133,12 +136,13 @@ static inline void scene_measure(scene *s, double share, uint64_t seed)
 /* Six known points on the stick; 0.05 degrees of joint noise, 0.2 px. */
 static inline void scene_make(scene *s, bool on_cab)
 {
-    static const double place[6][3] = {{0.2, 0.25, 0.3},  {0.9, -0.25, 0.8}, {1.6, 0.2, 2.0},
+    static const double place[6][3] = {{0.2, 0.25, 0.3}, {0.9, -0.25, 0.8}, {1.6, 0.2, 2.0},
                                        {0.5, -0.2, 0.9}, {1.2, 0.3, 1.2},   {1.5, -0.3, 1.5}};
     td_error error;
     memset(s, 0, sizeof *s);
-    check_ok(td_robot_parse(&s->robot, excavator_urdf, strlen(excavator_urdf), NULL, 0, "excavator.urdf", &error),
-             error);
+    check_ok(
+        td_robot_parse(&s->robot, excavator_urdf, strlen(excavator_urdf), NULL, 0, "excavator.urdf", &error),
+        error);
     s->rig = scene_rig();
     s->mount_from_rig = scene_mount_pose(on_cab);
     int cab = td_robot_find_link(s->robot, "cab"), mount = on_cab ? cab : 0;
