@@ -15,9 +15,10 @@ td_install() {
         echo "== installing packages:$missing"
         if [ "$(id -u)" -eq 0 ]; then as_root=; else as_root=sudo; fi
         $as_root apt-get update -q
-        # Slim images of Debian drop documentation; two data sets live there.
+        # Slim images of Debian drop documentation; data sets live there.
         $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends \
-            -o Dpkg::Options::="--path-include=/usr/share/doc/opencv-doc/*" $missing
+            -o Dpkg::Options::="--path-include=/usr/share/doc/opencv-doc/*" \
+            -o Dpkg::Options::="--path-include=/usr/share/doc/dart/*" $missing
     fi
 }
 

@@ -36,9 +36,13 @@ typedef struct td_urdf {
     td_urdf_joint joint[TD_ROBOT_MAX_LINKS];
 } td_urdf;
 
-/* The wall around urdfdom: fills the link_count links and joint_count joints whose names stand in `urdf`.
- * False: why, in one line. */
-bool td_urdfdom_parse(td_urdf *urdf, const char *text, size_t size, char why[TD_URDF_MESSAGE]);
+/* What urdfdom complains of, begun empty; it holds words of the file. */
+typedef struct td_urdf_why {
+    char what[TD_URDF_MESSAGE], where[TD_URDF_MESSAGE];
+} td_urdf_why;
+
+/* The wall around urdfdom: fills the link_count links and joint_count joints whose names stand in `urdf`. */
+bool td_urdfdom_parse(td_urdf *urdf, const char *text, size_t size, td_urdf_why *why);
 
 /* A robot without what the YAML adds. `name` is the file's, for messages. */
 td_status td_urdf_parse(td_robot *robot, const char *text, size_t size, const char *name, td_error *error);

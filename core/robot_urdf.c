@@ -390,9 +390,12 @@ static td_status parse(td_robot *robot, td_urdf *urdf, const char *text, size_t 
     TD_TRY(hang_links(&t));
     TD_TRY(find_root(&t, &root));
     TD_TRY(put_in_order(&t, root));
-    char why[TD_URDF_MESSAGE] = "", shown[TD_SHOWN_SIZE];
-    if (!td_urdfdom_parse(urdf, text, size, why))
-        return td_fail(error, TD_ERROR_FORMAT, "%s: is no sound URDF: %s", name, td_text_shown(shown, why));
+    td_urdf_why why = {0};
+    char what[TD_SHOWN_SIZE], where[TD_SHOWN_SIZE];
+    if (!td_urdfdom_parse(urdf, text, size, &why))
+        return td_fail(error, TD_ERROR_FORMAT, "%s: is no sound URDF: %s%s%s", name,
+                       td_text_shown(what, why.what), *why.where ? ": " : "",
+                       td_text_shown(where, why.where));
     snprintf(robot->name, sizeof robot->name, "%s", urdf->name);
     for (int i = 0; i < t.count; i++) TD_TRY(add_link(robot, &t, t.order[i]));
     return TD_OK;

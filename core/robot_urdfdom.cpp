@@ -4,6 +4,7 @@
 #include <exception>
 #include <mutex>
 #include <string>
+#include <vector>
 
 #include <console_bridge/console.h>
 #include <urdf_parser/urdf_parser.h>
@@ -12,7 +13,7 @@
 
 namespace {
 
-// Keeps the first complaint, which urdfdom would print.
+// Keeps what urdfdom would print: the first complaint says what is wrong, the next where.
 class Listener : public console_bridge::OutputHandler {
   public:
     Listener() { console_bridge::useOutputHandler(this); }
@@ -21,9 +22,9 @@ class Listener : public console_bridge::OutputHandler {
     Listener &operator=(const Listener &) = delete;
     void log(const std::string &text, console_bridge::LogLevel level, const char *, int) override
     {
-        if (level >= console_bridge::CONSOLE_BRIDGE_LOG_ERROR && first.empty()) first = text;
+        if (level >= console_bridge::CONSOLE_BRIDGE_LOG_ERROR) said.push_back(text);
     }
-    std::string first;
+    std::vector<std::string> said;
 };
 
 // The handler is the process's: one reader at a time may have it.
@@ -33,7 +34,7 @@ std::mutex &turn()
     return one;
 }
 
-template <size_t n> void copy_name(char (&to)[n], const std::string &from)
+template <size_t n> void copy_text(char (&to)[n], const std::string &from)
 {
     std::snprintf(to, n, "%s", from.c_str());
 }
@@ -102,13 +103,13 @@ void copy_joint(td_urdf_joint *to, const urdf::Joint &from)
     to->speed = from.limits->velocity;
 }
 
-bool copy_model(td_urdf *to, const urdf::ModelInterface &model, char why[TD_URDF_MESSAGE])
+bool copy_model(td_urdf *to, const urdf::ModelInterface &model, td_urdf_why *why)
 {
-    copy_name(to->name, model.getName());
+    copy_text(to->name, model.getName());
     for (int i = 0; i < to->link_count; i++) {
         const auto link = model.getLink(to->link[i].name);
         if (!link) {
-            std::snprintf(why, TD_URDF_MESSAGE, "link '%s' was not understood", to->link[i].name);
+            copy_text(why->what, "link '" + std::string(to->link[i].name) + "' was not understood");
             return false;
         }
         copy_link(to->link + i, *link);
@@ -117,7 +118,7 @@ bool copy_model(td_urdf *to, const urdf::ModelInterface &model, char why[TD_URDF
         const auto joint = model.getJoint(to->joint[k].name);
         if (!joint || joint->parent_link_name != to->joint[k].parent ||
             joint->child_link_name != to->joint[k].child) {
-            std::snprintf(why, TD_URDF_MESSAGE, "joint '%s' was not understood", to->joint[k].name);
+            copy_text(why->what, "joint '" + std::string(to->joint[k].name) + "' was not understood");
             return false;
         }
         copy_joint(to->joint + k, *joint);
@@ -127,19 +128,20 @@ bool copy_model(td_urdf *to, const urdf::ModelInterface &model, char why[TD_URDF
 
 } // namespace
 
-extern "C" bool td_urdfdom_parse(td_urdf *urdf, const char *text, size_t size, char why[TD_URDF_MESSAGE])
+extern "C" bool td_urdfdom_parse(td_urdf *urdf, const char *text, size_t size, td_urdf_why *why)
 try {
     const std::lock_guard<std::mutex> mine(turn());
     Listener listener;
     const auto model = urdf::parseURDF(std::string(text, size));
-    if (model) return copy_model(urdf, *model, why);
-    std::snprintf(why, TD_URDF_MESSAGE, "%s",
-                  listener.first.empty() ? "urdfdom does not say why" : listener.first.c_str());
+    // It complains of a bad mass or shape, and goes on without it: that is no robot to rely on.
+    if (model && listener.said.empty()) return copy_model(urdf, *model, why);
+    copy_text(why->what, listener.said.empty() ? "urdfdom does not say why" : listener.said[0]);
+    if (listener.said.size() > 1) copy_text(why->where, listener.said[1]);
     return false;
 } catch (const std::exception &e) {
-    std::snprintf(why, TD_URDF_MESSAGE, "%s", e.what());
+    copy_text(why->what, e.what());
     return false;
 } catch (...) {
-    std::snprintf(why, TD_URDF_MESSAGE, "an unknown failure");
+    copy_text(why->what, "an unknown failure");
     return false;
 }
