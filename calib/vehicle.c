@@ -167,6 +167,8 @@ static td_status fill_sigmas(td_vehicle *result, const td_vehicle_model *model, 
         *(h ? &result->sigma_mm : &result->sigma_deg) = sqrt(fmax(value[2], 0)) * (h ? 1e3 : DEGREES);
     }
     size_t at = 6;
+    for (int j = 0; j < model->data->robot->joint_count; j++)
+        result->sigma_offset[j] = model->data->offset_prior[j]; /* those of the chain follow */
     for (int k = 0; k < b->joints; k++, at++)
         result->sigma_offset[b->joint[k]] = sqrt(fmax(b->covariance[at * (b->size + 1)], 0));
     for (int p = 0; p < b->points; p++)

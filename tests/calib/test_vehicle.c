@@ -102,6 +102,27 @@ static void test_exact(void **state)
     }
 }
 
+/* The tip where the true angles are `at`: as seen through the cameras, less as one reading q says. */
+static void tip_error(double d[3], double *q, const scene *s, const td_vehicle *v, const double *at, int tip,
+                      td_random *random)
+{
+    td_pose root_from_link[TD_ROBOT_MAX_LINKS], back = td_pose_inverse(&s->mount_from_rig);
+    double told[3], corrected[SCENE_JOINTS];
+    td_robot_forward(root_from_link, s->robot, at);
+    td_pose mount_from_root = td_pose_inverse(&root_from_link[s->data.mount]);
+    td_pose_transform(d, &mount_from_root, root_from_link[tip].t);
+    td_pose_transform(d, &back, d);
+    td_pose_transform(d, &v->mount_from_rig, d);
+    for (int j = 0; j < SCENE_JOINTS; j++) {
+        q[j] = at[j] - s->offset[j] + s->sigma_q[j] * td_random_normal(random);
+        corrected[j] = q[j] + v->offset[j];
+    }
+    td_robot_forward(root_from_link, s->robot, corrected);
+    mount_from_root = td_pose_inverse(&root_from_link[s->data.mount]);
+    td_pose_transform(told, &mount_from_root, root_from_link[tip].t);
+    for (int k = 0; k < 3; k++) d[k] -= told[k];
+}
+
 /* Twenty poses, six known points: scatter, closed way, tip. */
 static void test_scatter(void **state)
 {
@@ -118,7 +139,7 @@ static void test_scatter(void **state)
     td_random random = td_random_seed(77, 0);
     for (int i = 0; i < count; i++) {
         td_vehicle *v;
-        double xi[6], c9[9], seen[3], told[3], q[SCENE_JOINTS];
+        double xi[6], c9[9], seen[3], q[SCENE_JOINTS];
         scene_measure(&s, 1, (uint64_t)(100 + i));
         check_ok(td_vehicle_solve(&v, &s.data, &(td_vehicle_options){.tip = tip}, &error), error);
         assert_int_equal(v->null_count, 0);
@@ -133,18 +154,7 @@ static void test_scatter(void **state)
             scatter[k] += xi[k] * xi[k] / count;
             predicted[k] += v->covariance[7 * k] / count;
         }
-        /* The tip where the true angles are `at`: through the cameras, and by one reading. */
-        td_pose root_from_link[TD_ROBOT_MAX_LINKS];
-        td_robot_forward(root_from_link, s.robot, at);
-        td_pose link = td_pose_inverse(&root_from_link[s.data.mount]);
-        td_pose_transform(seen, &link, root_from_link[tip].t);
-        td_pose_transform(seen, &inverse, seen);
-        td_pose_transform(seen, &v->vehicle_from_rig, seen);
-        for (int j = 0; j < SCENE_JOINTS; j++) q[j] = at[j] + s.sigma_q[j] * td_random_normal(&random);
-        td_robot_forward(root_from_link, s.robot, q);
-        link = td_pose_inverse(&root_from_link[s.data.mount]);
-        td_pose_transform(told, &link, root_from_link[tip].t);
-        for (int k = 0; k < 3; k++) seen[k] -= told[k];
+        tip_error(seen, q, &s, v, at, tip, &random);
         check_ok(td_vehicle_tip_sigma(c9, v, &s.data, -1, q, &error), error);
         tip_chi2 += mahalanobis(seen, c9, 3) / (3 * count);
         if (i == 0)
@@ -177,8 +187,10 @@ static void test_rig_covariance(void **state)
     scene s;
     td_error error;
     int count = runs(100) / 2;
-    double chi2 = 0, offset_chi2 = 0, without = 0;
+    double chi2 = 0, offset_chi2 = 0, tip_chi2 = 0, without = 0;
+    const double at[SCENE_JOINTS] = {0.3, 0.1, 1.5, 1.0};
     scene_make(&s, true);
+    int tip = td_robot_find_link(s.robot, "tip");
     td_rig *mean = s.rig;
     size_t n = td_rig_parameter_count(mean);
     mean->covariance = calloc(n * n, sizeof *mean->covariance);
@@ -192,7 +204,7 @@ static void test_rig_covariance(void **state)
         if (pose && k == 10) root[i * n + 2] = 4e-4;
     }
     td_multiply_transposed(mean->covariance, root, root, n, n, n);
-    s.offset_prior[BOOM] = 1e-3;
+    s.offset_prior[BOOM] = s.offset_prior[BUCKET] = 3e-3;
     td_random random = td_random_seed(5, 5);
     for (int i = 0; i < count; i++) {
         td_vehicle *v;
@@ -211,7 +223,7 @@ static void test_rig_covariance(void **state)
             }
             drawn->camera[c].camera_from_rig = td_pose_perturb(&drawn->camera[c].camera_from_rig, move);
         }
-        s.offset[BOOM] = s.offset_prior[BOOM] * td_random_normal(&random);
+        for (int j = BOOM; j <= BUCKET; j++) s.offset[j] = s.offset_prior[j] * td_random_normal(&random);
         s.rig = drawn;
         scene_poses(&s, 12, 0.15, 3);
         scene_measure(&s, 1, (uint64_t)(100 + i));
@@ -219,6 +231,10 @@ static void test_rig_covariance(void **state)
         error_of(xi, &v->vehicle_from_rig, &s.mount_from_rig);
         chi2 += mahalanobis(xi, v->covariance, 6) / (6 * count);
         offset_chi2 += pow((v->offset[BOOM] - s.offset[BOOM]) / v->sigma_offset[BOOM], 2) / count;
+        double c9[9], d[3], q[SCENE_JOINTS];
+        tip_error(d, q, &s, v, at, tip, &random);
+        check_ok(td_vehicle_tip_sigma(c9, v, &s.data, tip, q, &error), error);
+        tip_chi2 += mahalanobis(d, c9, 3) / (3 * count);
         td_vehicle_free(&v);
         double *kept = mean->covariance;
         mean->covariance = NULL;
@@ -231,6 +247,7 @@ static void test_rig_covariance(void **state)
     }
     print_message("without the rig's covariance: error over sigma %.3f\n", sqrt(without));
     check_chi2("vehicle_from_rig, rig uncertain", chi2, 6.0 * count);
+    check_chi2("tip, rig and zeros uncertain", tip_chi2, 3.0 * count);
     check_chi2("zero of the boom", offset_chi2, count);
     check_less(4, without);
     free(root);
