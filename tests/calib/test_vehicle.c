@@ -135,7 +135,7 @@ static void test_scatter(void **state)
     const double at[SCENE_JOINTS] = {0.3, 0.1, 1.5, 1.0};
     scene_make(&s, true);
     scene_poses(&s, 20, 0.15, 3);
-    tip = td_robot_find_link(s.robot, "tip");
+    tip = td_robot_find_link(s.robot, "bucket_tip");
     td_random random = td_random_seed(77, 0);
     for (int i = 0; i < count; i++) {
         td_vehicle *v;
@@ -190,7 +190,7 @@ static void test_rig_covariance(void **state)
     double chi2 = 0, offset_chi2 = 0, tip_chi2 = 0, without = 0;
     const double at[SCENE_JOINTS] = {0.3, 0.1, 1.5, 1.0};
     scene_make(&s, true);
-    int tip = td_robot_find_link(s.robot, "tip");
+    int tip = td_robot_find_link(s.robot, "bucket_tip");
     td_rig *mean = s.rig;
     size_t n = td_rig_parameter_count(mean);
     mean->covariance = calloc(n * n, sizeof *mean->covariance);
@@ -322,7 +322,7 @@ static void test_free_points(void **state)
         scene_poses(&s, 20, 0.4 * slew, 5);
         scene_measure(&s, 1, 9);
         assert_int_equal(refused(text, &s.data), 1);
-        check_names(text, "sideways along the axis of boom_pin (y of cab)");
+        check_names(text, "sideways along the axis of boom (y of upper)");
         check_names(text, "measure one point's lateral place, or look at a fixed board");
         s.point[2].place[1] = s.place[2][1];
         s.point[2].sigma[1] = 0.001;
@@ -355,16 +355,16 @@ static void test_zeros(void **state)
     scene_measure(&s, 1, 9);
     s.offset_prior[BOOM] = INFINITY;
     assert_int_equal(refused(text, &s.data), 1);
-    check_names(text, "pitch of the rig about the axis of boom_pin");
-    check_names(text, "give the zero of boom_pin a tight prior");
+    check_names(text, "pitch of the rig about the axis of boom");
+    check_names(text, "give the zero of boom a tight prior");
     s.offset_prior[BOOM] = 0.002;
     assert_int_equal(refused(text, &s.data), 0);
     free_all(&s);
     s.offset_prior[BOOM] = s.offset_prior[STICK] = INFINITY;
     assert_int_equal(refused(text, &s.data), 3);
     check_names(text, "sideways");
-    check_names(text, "pitch of the rig about the axis of boom_pin");
-    check_names(text, "zero of stick_pin");
+    check_names(text, "pitch of the rig about the axis of boom");
+    check_names(text, "zero of arm");
     scene_drop(&s);
 }
 
@@ -378,7 +378,7 @@ static void test_undercarriage(void **state)
     scene_poses(&s, 20, 0, 5);
     scene_measure(&s, 1, 9);
     assert_int_equal(refused(text, &s.data), 1);
-    check_names(text, "sideways along the axis of boom_pin");
+    check_names(text, "sideways along the axis of boom");
     check_names(text, "swing stood still: slew between images");
     scene_poses(&s, 20, 0.25, 5);
     scene_measure(&s, 1, 9);
@@ -439,10 +439,10 @@ static void test_bad_input(void **state)
     double kept = s.reading[2 * SCENE_JOINTS + STICK];
     s.reading[2 * SCENE_JOINTS + STICK] = 3;
     check_fails(td_vehicle_solve(&v, &s.data, NULL, &error), TD_ERROR_DATA, error,
-                "pose 2: joint stick_pin reads 171.9 deg, outside its limits");
+                "pose 2: joint arm reads 171.9 deg, outside its limits");
     assert_null(v);
     s.reading[2 * SCENE_JOINTS + STICK] = NAN;
-    check_fails(td_vehicle_solve(&v, &s.data, NULL, &error), TD_ERROR_ARGUMENT, error, "joint stick_pin");
+    check_fails(td_vehicle_solve(&v, &s.data, NULL, &error), TD_ERROR_ARGUMENT, error, "joint arm");
     s.reading[2 * SCENE_JOINTS + STICK] = kept;
     s.sight[7].pixel[0] = NAN;
     check_fails(td_vehicle_solve(&v, &s.data, NULL, &error), TD_ERROR_ARGUMENT, error, "sight 7");
@@ -459,7 +459,7 @@ static void test_bad_input(void **state)
     s.point[3].link = s.point[0].link;
     s.point[3].sigma[0] = 0;
     s.sigma_q[1] = NAN;
-    check_fails(td_vehicle_solve(&v, &s.data, NULL, &error), TD_ERROR_ARGUMENT, error, "boom_pin");
+    check_fails(td_vehicle_solve(&v, &s.data, NULL, &error), TD_ERROR_ARGUMENT, error, "boom");
     s.sigma_q[1] = 0;
     s.data.sight_count = 0;
     check_fails(td_vehicle_solve(&v, &s.data, NULL, &error), TD_ERROR_DATA, error, "no sights");

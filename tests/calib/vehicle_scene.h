@@ -1,5 +1,5 @@
-/* A simulated excavator (dimensions of a 20 t machine), a stereo rig on its cab or undercarriage, points on
- * the stick and on the ground, and what the cameras and the joints' sensors say of arm poses. */
+/* The excavator of datasets/zx200, a stereo rig on its upper structure or undercarriage, points on
+ * the arm (stick) and on the ground, and what the cameras and the joints' sensors say of arm poses. */
 #ifndef TELEDIMOS_TESTS_VEHICLE_SCENE_H
 #define TELEDIMOS_TESTS_VEHICLE_SCENE_H
 
@@ -9,23 +9,6 @@
 
 enum { SCENE_POSES = 60, SCENE_POINTS = 12, SCENE_JOINTS = 4, SCENE_SIGHTS = SCENE_POSES * SCENE_POINTS * 2 };
 enum { SWING, BOOM, STICK, BUCKET };
-
-static const char *const excavator_urdf =
-    "<robot name='excavator'><link name='undercarriage'/><link name='cab'/><link name='boom'/>"
-    "<link name='stick'/><link name='bucket'/><link name='tip'/>"
-    "<joint name='swing' type='continuous'><parent link='undercarriage'/><child link='cab'/>"
-    "<origin xyz='0.108 -0.034 1.121'/><axis xyz='0 0 1'/></joint>"
-    "<joint name='boom_pin' type='revolute'><parent link='cab'/><child link='boom'/>"
-    "<origin xyz='0.228 -0.04 0.837'/><axis xyz='0 1 0'/>"
-    "<limit lower='-0.6' upper='0.5' effort='1e6' velocity='0.45'/></joint>"
-    "<joint name='stick_pin' type='revolute'><parent link='boom'/><child link='stick'/>"
-    "<origin xyz='4.7878 0 2.9959'/><axis xyz='0 1 0'/>"
-    "<limit lower='0.594' upper='2.687' effort='1e6' velocity='1.1'/></joint>"
-    "<joint name='bucket_pin' type='revolute'><parent link='stick'/><child link='bucket'/>"
-    "<origin xyz='1.8954 0 2.1809'/><axis xyz='0 1 0'/>"
-    "<limit lower='-0.622' upper='2.372' effort='1e6' velocity='1.1'/></joint>"
-    "<joint name='teeth' type='fixed'><parent link='bucket'/><child link='tip'/>"
-    "<origin xyz='1.2 0 1.0'/></joint></robot>";
 
 typedef struct scene {
     td_robot *robot;
@@ -136,16 +119,14 @@ static inline void scene_measure(scene *s, double share, uint64_t seed)
 /* Six known points on the stick; 0.05 degrees of joint noise, 0.2 px. */
 static inline void scene_make(scene *s, bool on_cab)
 {
-    static const double place[6][3] = {{0.2, 0.25, 0.3}, {0.9, -0.25, 0.8}, {1.6, 0.2, 2.0},
-                                       {0.5, -0.2, 0.9}, {1.2, 0.3, 1.2},   {1.5, -0.3, 1.5}};
+    static const double place[6][3] = {{0.35, 0.25, 0.1}, {1.2, -0.25, -0.05}, {2.5, 0.2, 0.25},
+                                       {1.0, -0.2, 0.25}, {1.7, 0.3, -0.1},    {2.1, -0.3, 0.0}};
     td_error error;
     memset(s, 0, sizeof *s);
-    check_ok(
-        td_robot_parse(&s->robot, excavator_urdf, strlen(excavator_urdf), NULL, 0, "excavator.urdf", &error),
-        error);
+    check_ok(td_robot_read(&s->robot, TD_SOURCE_DIR "/datasets/zx200/zx200.urdf", &error), error);
     s->rig = scene_rig();
     s->mount_from_rig = scene_mount_pose(on_cab);
-    int cab = td_robot_find_link(s->robot, "cab"), mount = on_cab ? cab : 0;
+    int cab = td_robot_find_link(s->robot, "upper"), mount = on_cab ? cab : 0;
     s->data = (td_vehicle_data){.robot = s->robot,
                                 .rig = s->rig,
                                 .mount = mount,
@@ -158,7 +139,7 @@ static inline void scene_make(scene *s, bool on_cab)
                                 .sight = s->sight};
     for (int p = 0; p < 6; p++) {
         snprintf(s->point[p].name, TD_NAME_SIZE, "s%d", p + 1);
-        s->point[p].link = td_robot_find_link(s->robot, "stick");
+        s->point[p].link = td_robot_find_link(s->robot, "arm");
         memcpy(s->place[p], place[p], sizeof s->place[p]);
         memcpy(s->point[p].place, place[p], sizeof s->place[p]);
     }
