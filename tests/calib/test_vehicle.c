@@ -187,7 +187,7 @@ static void test_rig_covariance(void **state)
     scene s;
     td_error error;
     int count = runs(100) / 2;
-    double chi2 = 0, offset_chi2 = 0, tip_chi2 = 0, without = 0;
+    double chi2 = 0, offset_chi2 = 0, tip_chi2 = 0, height_chi2 = 0, without = 0;
     const double at[SCENE_JOINTS] = {0.3, 0.1, 1.5, 1.0};
     scene_make(&s, true);
     int tip = td_robot_find_link(s.robot, "bucket_tip");
@@ -235,6 +235,7 @@ static void test_rig_covariance(void **state)
         tip_error(d, q, &s, v, at, tip, &random);
         check_ok(td_vehicle_tip_sigma(c9, v, &s.data, tip, q, &error), error);
         tip_chi2 += mahalanobis(d, c9, 3) / (3 * count);
+        height_chi2 += d[2] * d[2] / c9[8] / count;
         td_vehicle_free(&v);
         double *kept = mean->covariance;
         mean->covariance = NULL;
@@ -248,6 +249,8 @@ static void test_rig_covariance(void **state)
     print_message("without the rig's covariance: error over sigma %.3f\n", sqrt(without));
     check_chi2("vehicle_from_rig, rig uncertain", chi2, 6.0 * count);
     check_chi2("tip, rig and zeros uncertain", tip_chi2, 3.0 * count);
+    /* Height at the tip: the pitch of the rig and the boom's zero cancel there. */
+    check_chi2("height of the tip", height_chi2, count);
     check_chi2("zero of the boom", offset_chi2, count);
     check_less(4, without);
     free(root);
