@@ -38,8 +38,8 @@ typedef struct td_vehicle_data {
     const td_robot *robot;
     const td_rig *rig; /* cameras; its covariance is passed on */
     int mount;         /* link that carries the rig: the cab (upper structure) or the undercarriage */
-    int vehicle; /* link whose frame is the vehicle's: the result is vehicle_from_rig = mount's link to rig
-                    when they are the same */
+    int vehicle; /* link whose frame is the vehicle's; where it is not `mount`, vehicle_from_rig is told with
+                    the joints between the two at zero */
     size_t pose_count;
     double *q;            /* (poses, joints) as the sensors said */
     double *sigma_q;      /* (joints) rad or m, of one reading */
@@ -60,23 +60,28 @@ typedef struct td_vehicle_options {
 TD_API td_vehicle_options td_vehicle_options_default(void);
 
 typedef struct td_vehicle {
-    td_pose vehicle_from_rig;
-    double covariance[36];
+    td_pose vehicle_from_rig, mount_from_rig;
+    double covariance[36];         /* of vehicle_from_rig */
     double sigma_mm, sigma_deg;    /* worst axis */
     td_pose closed;                /* the paper's way: points triangulated in one pose after the other, their
                                       frame found, the arm's kinematics, the mean over the poses */
+    size_t closed_poses;           /* that the mean is over, each with six known points or more; 0: none */
     double *offset, *sigma_offset; /* (joints) */
-    double (*place)[3], (*sigma_place)[3]; /* (points) m */
-    double rms_px;
-    size_t outliers;
+    double (*place)[3], (*sigma_place)[3];          /* (points) m */
+    double rms_px, chi2_per_dof;                    /* NaN: no redundancy */
+    bool *left_out;                                 /* (sights) */
+    size_t outliers;                                /* how many of them */
     double sigma_tip_worst_mm, sigma_tip_median_mm; /* over the working space: see td_vehicle_tip_sigma */
     size_t null_count;
     char null_direction[8][320]; /* refused: in the machine's words, with what to do */
     size_t weak_count;
     char weak[8][320];
+    struct td_vehicle_belief *belief; /* joint covariance, for td_vehicle_tip_sigma and td_vehicle_advise */
 } td_vehicle;
 
-/* TD_OK with null_count > 0: not determined; the transform is then not to be used. */
+/* TD_OK with null_count > 0: not determined; the transform is then not to be used. Refused, with the pose,
+ * joint or point named: readings outside the joints' limits, points on a line, free points whose arm never
+ * moves or that no pair of cameras sees, fewer than six known points in every pose (closed_only). */
 TD_API td_status td_vehicle_solve(td_vehicle **result, const td_vehicle_data *data,
                                   const td_vehicle_options *options, td_error *error);
 TD_API void td_vehicle_free(td_vehicle **result);
@@ -87,7 +92,8 @@ TD_API void td_vehicle_free(td_vehicle **result);
 TD_API td_status td_vehicle_tip_sigma(double covariance[9], const td_vehicle *result,
                                       const td_vehicle_data *data, int tip, const double *q, td_error *error);
 
-/* The arm pose, of a grid over the joints' limits, that would help most. */
+/* The arm pose (q: joints), of a grid over the joints' limits, that would make the tip's sigma over the
+ * working space smallest if the same points were seen in it. */
 TD_API td_status td_vehicle_advise(double *q, char text[320], const td_vehicle *result,
                                    const td_vehicle_data *data, td_error *error);
 
