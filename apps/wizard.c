@@ -167,13 +167,13 @@ static void suggest(wizard *w)
     w->has_next = td_next_view_find(&w->next, w->calibration, w->observations, &o, &error) == TD_OK;
 }
 
-/* Everything that follows from the views. */
-static td_status conclude(wizard *w, td_error *error)
+/* Everything that follows from the views; `now`: even when a solve is slow and few views are new. */
+static td_status conclude(wizard *w, bool now, td_error *error)
 {
     TD_TRY(gather(w, error));
     size_t found = 0;
     for (size_t v = 0; v < w->count; v++) found += w->view[v].detection[0].found;
-    bool due = !w->calibration || w->solve_s < SLOW_S || w->count >= w->solved + SLOW_VIEWS;
+    bool due = now || !w->calibration || w->solve_s < SLOW_S || w->count >= w->solved + SLOW_VIEWS;
     if (found >= 3 && due)
         solve(w);
     else if (found < 3)
@@ -223,7 +223,7 @@ static td_status look(wizard *w, td_error *error)
     w->skip = 0;
     TD_TRY(wizard_take(w, error));
     say_what_was_seen(w, &w->view[w->count - 1]);
-    return conclude(w, error);
+    return conclude(w, false, error);
 }
 
 /* Takes the next pictures; *got whether there were any. An unreadable one is told and passed over. */
@@ -304,6 +304,11 @@ static td_status round_once(wizard *w, wizard_wish *wish, td_error *error)
 {
     bool got = false, was_ended = w->ended;
     if (!w->frozen && !w->ended) TD_TRY(next_frames(w, &got, error));
+    if (!got && w->solved && w->solved < w->count) { /* there is time for what was put off */
+        TD_TRY(conclude(w, true, error));
+        w->solved = w->count;
+        wizard_draw(w);
+    }
     int key = keys_next(got ? 0 : 0.05);
     if (!key) key = key_of_page(w);
     *wish = key ? obey(w, key) : GO_ON;
@@ -350,7 +355,7 @@ static td_status watch(wizard *w, td_error *error)
     if (w->count) wizard_say(w, "going on with %zu pictures", w->count);
     if (td_source_kind_of(w->source[0]) == TD_SOURCE_FOLDER)
         wizard_say(w, "watching %s", w->answers.source[0]);
-    TD_TRY(conclude(w, error));
+    TD_TRY(conclude(w, true, error));
     wizard_draw(w);
     while (wish == GO_ON && !terminal_interrupted()) TD_TRY(round_once(w, &wish, error));
     wizard_clear(w);

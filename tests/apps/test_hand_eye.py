@@ -13,7 +13,7 @@ import tempfile
 import numpy as np
 import yaml
 
-from common import SOURCE, check, fault_of_sentence, finish, run, skip
+from common import SANITIZED, SOURCE, check, fault_of_sentence, finish, run, skip
 
 DATA = os.environ.get("TELEDIMOS_DATA")
 
@@ -84,6 +84,8 @@ def test_real():
         if not r:
             continue
         report(name, r)
+        if SANITIZED:  # whose dlopen does not find ViSP's module
+            failed[name].add("visp")
         check({s["name"] for s in r["solvers"] if s["failed"]} == failed[name], f"{name}: marked as failed are {sorted(failed[name])}")
         check(all(s["why"] for s in r["solvers"] if s["failed"]), f"{name}: each with why")
         check(r["best_solver"] not in failed[name], f"{name}: the refinement begins from {r['best_solver']}")

@@ -16,8 +16,11 @@ import time
 
 import cv2
 
+import common
 from common import (COLUMNS, FRAMES, PROGRAM, ROWS, SANITIZED, check, clean_runs, fault_of_sentence, finish, image_set,
                     leftovers, points_set, refused, rig_file, run, shortened, skip, views_of)
+
+common.quick = common.SANITIZED
 
 try:
     import yaml as yaml_reader

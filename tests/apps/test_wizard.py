@@ -24,6 +24,8 @@ from common import FULL, PROGRAM, SANITIZED, SOURCE, check, finish, run, skip
 
 IMAGES = "/usr/share/doc/opencv-doc/examples/data"
 PATIENCE = 240 if SANITIZED else 60
+if SANITIZED:  # AddressSanitizer's dlopen does not see the program's own RUNPATH.
+    os.environ["LD_LIBRARY_PATH"] = os.path.join(os.path.dirname(os.path.dirname(PROGRAM)), "lib")
 
 
 class Wizard:
