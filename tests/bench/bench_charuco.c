@@ -9,7 +9,7 @@
 #include "tests/bench/bench_charuco.h"
 #include "tests/calib/charuco_scene.h"
 
-enum { VIEWS = 24, RUNS = 5 };
+enum { VIEWS = 72, RUNS = 1 };
 
 typedef struct views {
     charuco_scene scene;
