@@ -166,11 +166,15 @@ def test_bad_picture():
         y, x = np.mgrid[0:left.shape[0], 0:left.shape[1]].astype(np.float32)
         bent = cv2.remap(left, x + 5 * np.sin(y / 40), y + 5 * np.sin(x / 50), cv2.INTER_CUBIC)
         blank = np.full_like(left, 128)
-        for name, image in (("right02", cv2.imread(f"{IMAGES}/right02.jpg", 0)), ("left02", bent),
-                            ("right05", blank), ("left05", cv2.imread(f"{IMAGES}/left05.jpg", 0))):
-            cv2.imwrite(f"{pictures}/.{name}.png", image)
-            os.rename(f"{pictures}/.{name}.png", f"{pictures}/{name}.png")
+        def put(number, left, right):
+            for name, image in ((f"right{number}", right), (f"left{number}", left)):
+                cv2.imwrite(f"{pictures}/.{name}.png", image)
+                os.rename(f"{pictures}/.{name}.png", f"{pictures}/{name}.png")
+
+        w.wait_for("left14 ")
+        put("02", bent, cv2.imread(f"{IMAGES}/right02.jpg", 0))
         check(w.wait_for(r"left02 is left out: .+") > 0, "a left02 with bad corners is named and left out")
+        put("05", cv2.imread(f"{IMAGES}/left05.jpg", 0), blank)
         check(w.wait_for(r"left05 .*right: not found: looked for a chessboard of 9x6") > 0, "a picture without the board is named, with why")
         w.type("\n")
         status, _ = w.end()
