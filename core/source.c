@@ -294,6 +294,21 @@ static double skew_of(td_source *const *source, int count)
     return high - low;
 }
 
+/* Waits until folders have files that belong together. A pair that is begun is left as it is. */
+static td_status align_folders(bool *aligned, td_source *const *source, int count, double until_s,
+                               td_error *error)
+{
+    *aligned = false;
+    for (int i = 0; i < count; i++) *aligned |= source[i]->grabbed || source[i]->owed > 0;
+    while (!*aligned) {
+        td_status status = td_folders_align(aligned, source, count, error);
+        for (int i = 0; i < count && status != TD_OK; i++) source[i]->ended = true;
+        if (status != TD_OK || *aligned || td_monotonic_s() >= until_s) return status;
+        td_pause_s(0.02);
+    }
+    return TD_OK;
+}
+
 td_status td_source_next_together(td_frame *frame, bool *got, bool *ended, double *skew_s,
                                   td_source *const *source, int count, double wait_s, td_error *error)
 {
@@ -306,6 +321,11 @@ td_status td_source_next_together(td_frame *frame, bool *got, bool *ended, doubl
             return td_fail(error, TD_ERROR_ARGUMENT,
                            "%s and %s: are of different kinds; take two folders, two videos or two cameras",
                            source[0]->where, source[i]->where);
+    if (count > 1 && source[0]->kind == TD_SOURCE_FOLDER) {
+        bool aligned;
+        TD_TRY(align_folders(&aligned, source, count, until_s, error));
+        if (!aligned) return TD_OK;
+    }
     for (int i = 0; i < count; i++) {
         td_status status = grab_due(source[i], until_s, error);
         if (status != TD_OK) return drop_partners(source, count, i, status);

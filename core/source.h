@@ -59,9 +59,10 @@ TD_API td_status td_source_next(td_frame *frame, bool *got, bool *ended, td_sour
                                 td_error *error);
 
 /* One from each of `count` sources of one kind, taken together: all are grabbed before any is decoded;
- * folders are paired by order (the partner of an unreadable file is skipped with it), videos and cameras by
- * time: one that is more than half its period behind moves on. *skew_s: the largest difference of their
- * times; NaN for folders. frame: (count), all of them or none. */
+ * folders are paired by the last number in their names, or by order where they are not numbered alike (the
+ * partner of an unreadable file is skipped with it), videos and cameras by time: one that is more than half
+ * its period behind moves on. *skew_s: the largest difference of their times; NaN for folders. frame:
+ * (count), all of them or none. */
 TD_API td_status td_source_next_together(td_frame *frame, bool *got, bool *ended, double *skew_s,
                                          td_source *const *source, int count, double wait_s, td_error *error);
 

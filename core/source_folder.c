@@ -32,7 +32,9 @@ typedef struct folder {
     size_t next;
     char **known; /* (count) the same, sorted by strcmp */
     waiting head;
-    td_image *image; /* grabbed */
+    bool numbered;    /* of a pair's first folder: partners were found by their numbers */
+    double waiting_s; /* of the same: since when no numbers agree; 0: they do */
+    td_image *image;  /* grabbed */
     char taken[NAME_SIZE];
 } folder;
 
@@ -200,6 +202,82 @@ static void folder_free(void *state)
 }
 
 static const td_source_driver folder_driver = {folder_grab, folder_retrieve, folder_free};
+
+/* The last number in a name without its leading zeros; 0: there is none. */
+static size_t number_in(const char **digits, const char *name)
+{
+    size_t end = strlen(name);
+    while (end > 0 && !(name[end - 1] >= '0' && name[end - 1] <= '9')) end--;
+    size_t begin = end;
+    while (begin > 0 && name[begin - 1] >= '0' && name[begin - 1] <= '9') begin--;
+    while (begin + 1 < end && name[begin] == '0') begin++;
+    *digits = name + begin;
+    return end - begin;
+}
+
+/* Place in the queue of the file with the same number as `name`; count: none. */
+static size_t partner_of(const folder *f, const char *name)
+{
+    const char *a, *b;
+    const size_t length = number_in(&a, name);
+    for (size_t i = f->next; length && i < f->count; i++)
+        if (number_in(&b, f->name[i]) == length && memcmp(a, b, length) == 0) return i;
+    return f->count;
+}
+
+/* Puts file `at` of the queue at its head; the others keep their order. */
+static void bring_forward(folder *f, size_t at)
+{
+    char *name = f->name[at];
+    if (at == f->next) return;
+    memmove(f->name + f->next + 1, f->name + f->next, (at - f->next) * sizeof *f->name);
+    f->name[f->next] = name;
+    f->head = (waiting){0};
+}
+
+static bool bring_partners_forward(td_source *const *source, int count)
+{
+    folder *first = source[0]->state;
+    for (size_t k = first->next; k < first->count; k++) {
+        int found = 1;
+        while (found < count) {
+            const folder *f = source[found]->state;
+            if (partner_of(f, first->name[k]) == f->count) break;
+            found++;
+        }
+        if (found < count) continue;
+        for (int i = 1; i < count; i++)
+            bring_forward(source[i]->state, partner_of(source[i]->state, first->name[k]));
+        bring_forward(first, k);
+        return true;
+    }
+    return false;
+}
+
+td_status td_folders_align(bool *aligned, td_source *const *source, int count, td_error *error)
+{
+    folder *first = source[0]->state;
+    bool all = true;
+    *aligned = false;
+    for (int i = 0; i < count; i++) {
+        folder *f = source[i]->state;
+        const char *head = f->next < f->count ? f->name[f->next] : NULL;
+        TD_TRY(look(f, error));
+        qsort(f->name + f->next, f->count - f->next, sizeof *f->name, by_nature);
+        if (head && f->name[f->next] != head) f->head = (waiting){0};
+        all &= f->next < f->count;
+    }
+    if (!all) return TD_OK;
+    if (bring_partners_forward(source, count)) {
+        first->numbered = *aligned = true;
+        first->waiting_s = 0;
+        return TD_OK;
+    }
+    const double now = td_monotonic_s();
+    if (first->waiting_s == 0) first->waiting_s = now;
+    *aligned = !first->numbered && now - first->waiting_s > SETTLE_S;
+    return TD_OK;
+}
 
 td_status td_folder_open(td_source *source, const char *path, const char *pattern, int channels,
                          td_error *error)

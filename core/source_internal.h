@@ -42,6 +42,10 @@ bool td_is_image_name(const char *name);
 /* Fill driver, state and kind. */
 td_status td_folder_open(td_source *source, const char *folder, const char *pattern, int channels,
                          td_error *error);
+/* Puts files that belong together at the heads of their folders' queues: those whose last numbers are equal;
+ * where names are not numbered alike, by order, once that has been so for 2 s. *aligned false: their partners
+ * have not come yet. */
+td_status td_folders_align(bool *aligned, td_source *const *source, int count, td_error *error);
 td_status td_video_open(td_source *source, const char *path, const td_source_options *options,
                         td_error *error);
 td_status td_camera_open(td_source *source, const char *device, const td_source_options *options,

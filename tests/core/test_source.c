@@ -327,12 +327,27 @@ static void test_folder_pairs(void **state)
     /* The same with the damaged one on the left, whose partner comes later. */
     put_bytes(left, "4.pgm", "P5 damaged", 10);
     make_old(left, "4.pgm");
-    check_fails(next_pair(value, source, 0, &skew, &error), TD_ERROR_FORMAT, error, "left/4.pgm");
+    check_ok(next_pair(value, source, 0, &skew, &error), error);
+    assert_int_equal(value[0], -1);
     put(right, "4.pgm", 24);
+    check_fails(next_pair(value, source, 0, &skew, &error), TD_ERROR_FORMAT, error, "left/4.pgm");
     put(left, "5.pgm", 15);
     put(right, "5.pgm", 25);
     check_ok(next_pair(value, source, 0.5, &skew, &error), error);
     assert_true(value[0] == 15 && value[1] == 25);
+    /* One folder is ahead of the other, and a lower number comes late: numbers decide, not the order. */
+    put(left, "6.pgm", 16);
+    put(right, "6.pgm", 26);
+    put(right, "8.pgm", 28);
+    check_ok(next_pair(value, source, 0.5, &skew, &error), error);
+    assert_true(value[0] == 16 && value[1] == 26);
+    put(left, "7.pgm", 17);
+    put(left, "8.pgm", 18);
+    put(right, "007.pgm", 27);
+    check_ok(next_pair(value, source, 0.5, &skew, &error), error);
+    assert_true(value[0] == 17 && value[1] == 27);
+    check_ok(next_pair(value, source, 0.5, &skew, &error), error);
+    assert_true(value[0] == 18 && value[1] == 28);
     td_source_free(&source[0]);
     td_source_free(&source[1]);
     free(left);
