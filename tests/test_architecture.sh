@@ -23,9 +23,9 @@ found=$(grep -rnE '#include "core/[a-z_]+_internal\.h"' $(ls -d $wings apps 2>/d
 [ -z "$found" ] || complain "what is internal to core/ is used outside" "$found"
 found=$(find core $wings apps -name '*.cpp' 2>/dev/null | grep -vE '_(visp|opencv|ceres|urdfdom|cgal)\.cpp$' || true)
 [ -z "$found" ] || complain "C++ outside the walls" "$found"
-found=$(grep -nE '\b(printf|puts|putchar|perror|exit|abort) *\(' core/*.c core/*.cpp calib/*.c calib/*.cpp | grep -vE 'snprintf' || true)
+found=$(grep -nE '\b(printf|puts|putchar|perror|exit|abort) *\(' $(find core $wings -name "*.c" -o -name "*.cpp" 2>/dev/null) | grep -vE 'snprintf' || true)
 [ -z "$found" ] || complain "a library that prints or exits" "$found"
-for header in core/*.h calib/*.h; do
+for header in $(find core $wings -name "*.h" 2>/dev/null | sort); do
     case "$header" in *_internal.h) continue ;; esac
     echo "#include \"$header\"" >"$2/header.c"
     cp "$2/header.c" "$2/header.cpp"

@@ -1,0 +1,39 @@
+/* Points in space, each with a colour and how sure it is. File: PLY, binary little-endian, which CloudCompare
+ * and MeshLab open (x, y, z as double m; red, green, blue; sigma as float m). */
+#ifndef TELEDIMOS_CORE_CLOUD_H
+#define TELEDIMOS_CORE_CLOUD_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "status.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct td_cloud_point {
+    double p[3]; /* m */
+    float sigma; /* m, standard deviation along the worst direction; NaN: not known */
+    uint8_t rgb[3];
+} td_cloud_point;
+
+typedef struct td_cloud {
+    size_t count;
+    td_cloud_point *point; /* (count) */
+    size_t triangle_count; /* of a mesh over the points; 0: none */
+    uint32_t (*triangle)[3];
+} td_cloud;
+
+TD_API td_status td_cloud_new(td_cloud **cloud, size_t count, size_t triangle_count, td_error *error);
+TD_API void td_cloud_free(td_cloud **cloud);
+/* PLY. `comment` (may be NULL) goes into its header: the frame, the unit. Reading takes binary (both orders)
+ * and ASCII, any order of properties; what is missing is NaN or grey. Polygons are cut into triangles. */
+TD_API td_status td_cloud_write_ply(const td_cloud *cloud, const char *path, const char *comment,
+                                    td_error *error);
+TD_API td_status td_cloud_read_ply(td_cloud **cloud, const char *path, td_error *error);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,39 @@
+/* Interest points: where the signal changes in two directions (Harris and Stephens 1988), improved as Schmid,
+ * Mohr and Bauckhage (2000) found most repeatable: derivatives of a Gaussian instead of differences. */
+#ifndef TELEDIMOS_RECON_INTEREST_H
+#define TELEDIMOS_RECON_INTEREST_H
+
+#include <stdbool.h>
+
+#include "../core/image.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct td_interest_point {
+    double x, y;     /* px, to a fraction of a pixel */
+    double response; /* det(A) - k trace(A)^2 of the smoothed structure tensor A, grey levels^4/px^4 */
+} td_interest_point;
+
+typedef struct td_interest_options {
+    size_t count;             /* at most; default 500 */
+    double sigma_derivative;  /* px, of the Gaussian whose derivatives are taken; default 1 */
+    double sigma_integration; /* px, of the window of A; default 2 */
+    double k;                 /* default 0.06 */
+    double distance_px;       /* no two points nearer; default 5 */
+    double quality; /* response over the image's largest, below which there is no point; default 1e-3 */
+    bool even; /* spread evenly over the image (suppression radius of each point: Brown, Szeliski and Winder
+                  2005) rather than by response alone; default true */
+} td_interest_options;
+TD_API td_interest_options td_interest_options_default(void);
+
+/* *points is (count), strongest first (even: most isolated first), to be freed with free(). A featureless
+ * image has none: TD_OK. The image is grey. */
+TD_API td_status td_interest_points(td_interest_point **points, size_t *count, const td_image *image,
+                                    const td_interest_options *options, td_error *error);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
