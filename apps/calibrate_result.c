@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "apps/calibrate_internal.h"
-#include "calib/stereo.h"
+#include "core/stereo.h"
 #include "core/document.h"
 #include "core/linalg.h"
 

@@ -6,7 +6,7 @@
 
 #include "apps/cli.h"
 #include "apps/terminal.h"
-#include "calib/stereo.h"
+#include "core/stereo.h"
 #include "core/dataset.h"
 #include "core/document.h"
 #include "core/file.h"

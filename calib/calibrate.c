@@ -6,7 +6,7 @@
 #include <string.h>
 
 #include "calib/calibrate_internal.h"
-#include "calib/stereo.h"
+#include "core/stereo.h"
 
 /* Chi-square with 2 degrees of freedom is larger than this once in a thousand times. */
 #define WARP_SIGNIFICANT 13.8

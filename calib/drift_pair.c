@@ -11,7 +11,7 @@
 #include <string.h>
 
 #include "calib/drift_internal.h"
-#include "calib/stereo.h"
+#include "core/stereo.h"
 #include "core/linalg.h"
 
 /* A point that both cameras saw. */

@@ -4,7 +4,7 @@
 #include <stdlib.h>
 
 #include "calib/calibrate_internal.h"
-#include "calib/stereo.h"
+#include "core/stereo.h"
 #include "core/parallel.h"
 
 enum { MOST_FOLDS = 30 };

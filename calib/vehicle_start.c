@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "calib/stereo.h"
+#include "core/stereo.h"
 #include "calib/vehicle_internal.h"
 #include "core/linalg.h"
 

@@ -2,7 +2,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include <teledimos/calib/stereo.h>
+#include <teledimos/core/stereo.h>
 #include <teledimos/core/rig.h>
 
 int main(int argc, char **argv)

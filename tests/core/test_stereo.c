@@ -5,7 +5,7 @@
  * the source image shows, all of both or only what both see, and nothing that no camera saw. Reference: the
  * definitions, and simulated cameras. Tolerances: 1e-9 px where only rounding is left; others stated in
  * place. Blind to: how well a rig was calibrated. */
-#include "calib/stereo.h"
+#include "core/stereo.h"
 #include "core/random.h"
 #include "tests/check.h"
 

@@ -1,4 +1,4 @@
-#include "calib/stereo.h"
+#include "core/stereo.h"
 
 #include <math.h>
 #include <string.h>

@@ -1,13 +1,13 @@
 /* Two calibrated cameras: essential and fundamental matrix, epipolar error, rectification. */
-#ifndef TELEDIMOS_CALIB_STEREO_H
-#define TELEDIMOS_CALIB_STEREO_H
+#ifndef TELEDIMOS_CORE_STEREO_H
+#define TELEDIMOS_CORE_STEREO_H
 
 #include <stdbool.h>
 #include <stddef.h>
 
-#include "../core/camera.h"
-#include "../core/image.h"
-#include "../core/pose.h"
+#include "camera.h"
+#include "image.h"
+#include "pose.h"
 
 #ifdef __cplusplus
 extern "C" {
