@@ -1,0 +1,58 @@
+/* Dense matching of a rectified pair: a disparity for each pixel of the left image, and how sure it is.
+ *
+ * Semi-global matching (Hirschmueller 2008): a census cost with a robust term of grey differences, summed
+ * along few paths, the winner refined to a fraction of a pixel, checked from the right image, holes filled
+ * from the background's side and marked. */
+#ifndef TELEDIMOS_RECON_DENSE_H
+#define TELEDIMOS_RECON_DENSE_H
+
+#include <stdbool.h>
+
+#include "../core/image.h"
+#include "../core/log.h"
+#include "../core/progress.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef enum td_dense_kind { TD_DENSE_NONE, TD_DENSE_MATCHED, TD_DENSE_FILLED } td_dense_kind;
+
+typedef struct td_disparity {
+    int width, height;
+    float *value;  /* (height,width) px, x of the left pixel minus x of the right; NaN: none */
+    float *sigma;  /* (height,width) px, standard deviation; NaN: none */
+    uint8_t *kind; /* (height,width) td_dense_kind */
+} td_disparity;
+
+typedef enum td_dense_method {
+    TD_DENSE_OURS,
+    TD_DENSE_OPENCV /* its SGBM, 3WAY: a second opinion */
+} td_dense_method;
+
+typedef struct td_dense_options {
+    td_dense_method method;
+    int lowest;          /* smallest disparity, px; default 0 */
+    int levels;          /* how many, px; default 128; a multiple of 16 is used, rounded up */
+    bool fill;           /* default true */
+    bool left_check;     /* default true */
+    bool coarse_to_fine; /* ranges per tile from half the size; default: where it pays (96 levels and more) */
+    int speckle; /* areas of fewer pixels that differ from all around are taken out; default 50; 0: none */
+    int threads; /* 0: one per processor; the result does not depend on it */
+    const td_progress *progress;
+    const td_log *log;
+} td_dense_options;
+TD_API td_dense_options td_dense_options_default(void);
+TD_API td_status td_dense_options_check(const td_dense_options *options, td_error *error);
+
+/* Images are grey, of one size, rows matching rows, else refused. */
+TD_API td_status td_dense_match(td_disparity **disparity, const td_image *left, const td_image *right,
+                                const td_dense_options *options, td_error *error);
+TD_API void td_disparity_free(td_disparity **disparity);
+/* Bytes that td_dense_match needs at most, its result included. */
+TD_API size_t td_dense_memory(int width, int height, const td_dense_options *options);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
