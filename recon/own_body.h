@@ -3,6 +3,8 @@
 #ifndef TELEDIMOS_RECON_OWN_BODY_H
 #define TELEDIMOS_RECON_OWN_BODY_H
 
+#include <stdint.h>
+
 #include "../core/rig.h"
 #include "../core/robot.h"
 
