@@ -34,7 +34,7 @@ typedef enum td_integrator_method {
 
 typedef struct td_integrator_options {
     td_integrator_method method; /* default auto */
-    double relative;             /* default 1e-6 */
+    double relative;             /* default 1e-6: of the result (each step is held to a share of it) */
     const double *absolute;      /* (n); NULL: 1e-9 each */
     double max_step_s;           /* 0 (default): any */
     double first_step_s;         /* 0 (default): chosen */
@@ -58,9 +58,10 @@ TD_API td_status td_integrator_new(td_integrator **integrator, const td_ode *ode
                                    const td_integrator_options *options, td_error *error);
 TD_API void td_integrator_free(td_integrator **integrator);
 
-/* Integrates until `t_end`, or to the first event before it. *event: which (-1: none, t_end is reached);
- * direction (may be NULL) 1 rising, -1 falling. y is that at the time reached. Fails, naming time and state,
- * where steps become too small, too many, or the rate is not finite. */
+/* Integrates until `t_end`, or to the first event before it. Steps go past t_end and are read between: the
+ * rate is called beyond it, and where the caller stops does not change the result. *event: which (-1: none,
+ * t_end is reached); direction (may be NULL) 1 rising, -1 falling. y is that at the time reached. Fails,
+ * naming time and state, where steps become too small, too many, or the rate is not finite. */
 TD_API td_status td_integrator_advance(td_integrator *integrator, double t_end, int *event, int *direction,
                                        td_error *error);
 TD_API double td_integrator_time(const td_integrator *integrator);
