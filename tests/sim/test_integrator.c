@@ -127,6 +127,7 @@ static void ball_events(double *g, double t, const double *y, void *user)
     (void)t, (void)user;
     g[0] = y[0];
     g[1] = y[1];
+    g[2] = y[1] + 1e-3; /* a tenth of a millisecond after the top */
 }
 
 static void test_events(void **state)
@@ -163,7 +164,7 @@ static void test_events(void **state)
 /* Without a restart both events of one long step are told, in order, and reading between them works. */
 static void test_two_events_in_a_step(void **state)
 {
-    td_ode ode = {.size = 2, .rate = ball_rate, .event_count = 2, .events = ball_events};
+    td_ode ode = {.size = 2, .rate = ball_rate, .event_count = 3, .events = ball_events};
     td_integrator_options o = td_integrator_options_default();
     td_integrator *g = NULL;
     td_error error = {0};
@@ -177,8 +178,12 @@ static void test_two_events_in_a_step(void **state)
     check_near(td_integrator_state(g)[1], 0.1 - 9.81 * 0.005, 1e-9);
     check_ok(td_integrator_advance(g, 1, &event, NULL, &error), error);
     assert_int_equal(event, 1);
-    check_ok(td_integrator_advance(g, 0.015, &event, NULL, &error), error);
+    double top = td_integrator_time(g);
+    check_ok(td_integrator_advance(g, top + 5e-5, &event, NULL, &error), error);
     assert_int_equal(event, -1);
+    check_ok(td_integrator_advance(g, top + 2e-4, &event, NULL, &error), error);
+    assert_int_equal(event, 2);
+    check_near(td_integrator_time(g), top + 1e-3 / 9.81, 1e-9);
     check_ok(td_integrator_advance(g, 1, &event, NULL, &error), error);
     assert_int_equal(event, 0);
     check_near(td_integrator_time(g), (0.1 + sqrt(0.01 + 2 * 9.81 * 1e-3)) / 9.81, 1e-7);
