@@ -20,7 +20,7 @@ static double outlier_sigma = 4;
 
 static const char *const setups[] = {"eye-in-hand", "eye-to-hand", "robot-world", NULL};
 static const char *const models[] = {"exact", "independent", "field", "auto", NULL};
-static const char *const holds[] = {"held", "free", NULL};
+static const char *const holds[] = {"held", "lens", "free", NULL};
 
 static cli_option options[] = {
     {CLI_STRING, "setup", 0, &setup_name, "NAME",
@@ -34,8 +34,9 @@ static cli_option options[] = {
      "or calibrated from the same images",
      0, 0, NULL},
     {CLI_STRING, "intrinsics", 0, &intrinsics, "WHAT",
-     "held (default) at the rig's, or free: calibrated again from these images, with a warning when they "
-     "move",
+     "held (default) at the rig's; lens: these, with the radial distortion that the views tell of where the "
+     "rig "
+     "has none; free: calibrated again from these images, with a warning when they move",
      0, 0, holds},
     {CLI_STRING, "robot", 0, &model_name, "MODEL",
      "the robot's poses: independent (noise at the hand, estimated), field (and a smooth error over the "
@@ -181,6 +182,7 @@ static int run(void)
     td_progress progress = terminal_progress(&term);
     hand_eye_how how = {.rig = rig_path,
                         .free_intrinsics = strcmp(intrinsics, "free") == 0,
+                        .find_lens = strcmp(intrinsics, "lens") == 0,
                         .offset = offset,
                         .advise = advise,
                         .threads = common.threads,
@@ -238,7 +240,8 @@ int main(int argc, char **argv)
         return EXIT_DONE;
     }
     if (!dataset_path) {
-        cli_complain(command.name, "DATASET is missing (usage: teledimos %s %s)", command.name, command.usage);
+        cli_complain(command.name, "DATASET is missing (usage: teledimos %s %s)", command.name,
+                     command.usage);
         return EXIT_USAGE;
     }
     if (init) return write_example();

@@ -9,6 +9,7 @@
 #include "calib/hand_eye.h"
 #include "calib/hand_eye_mistakes.h"
 #include "calib/hand_eye_solvers.h"
+#include "calib/lens_check.h"
 #include "calib/view_poses.h"
 #include "core/dataset.h"
 #include "core/schema.h"
@@ -19,6 +20,7 @@ typedef struct hand_eye_how {
     td_robot_model model;
     const char *rig;      /* file of the cameras' calibration; NULL: the dataset's, or from its images */
     bool free_intrinsics; /* calibrate again from the images although a rig is given */
+    bool find_lens;       /* take in the distortion that the views tell of */
     const char *offset;   /* "auto", "none" or seconds */
     bool advise;
     int threads;
@@ -33,6 +35,7 @@ typedef struct hand_eye_job {
     td_observations *observations; /* NULL: target poses were given */
     td_rig *rig;                   /* NULL with target poses */
     char rig_from[400];            /* where the rig comes from, in words */
+    char lens[400];                /* distortion that the views tell of and the rig has not, in words; "" */
     double moved_sigma;            /* free intrinsics: how far they moved, in sigmas; NaN */
 
     size_t count;

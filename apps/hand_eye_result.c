@@ -157,6 +157,10 @@ void hand_eye_judge(hand_eye_job *job, const gate_row *rows)
                  "the intrinsics moved by %.1f of their sigmas against the given ones: were focus or zoom "
                  "changed?",
                  job->moved_sigma);
+    if (*job->lens)
+        gate_add(g, VERDICT_WARNED, "%s%s", job->lens,
+                 job->how->find_lens ? "; it was taken in"
+                                     : "; calibrate the camera, or take it in by --intrinsics lens");
     if (job->best < 0)
         gate_add(g, VERDICT_WARNED, "every closed form failed; the refinement began on its own");
 }

@@ -67,6 +67,23 @@ static td_status read_rig(td_rig **rig, const char *path, const hand_eye_job *jo
     return TD_OK;
 }
 
+/* Whether the held cameras lack distortion that the views tell of; taken in if that is wanted. */
+static td_status check_lenses(hand_eye_job *job, td_rig *rig, td_error *error)
+{
+    const td_observations *o = job->observations;
+    for (int c = 0; c < o->camera_count; c++) {
+        td_lens_check check;
+        TD_TRY(td_lens_check_make(&check, rig, c, o, error));
+        if (!check.terms) continue;
+        snprintf(job->lens, sizeof job->lens, "camera %s is %s", o->camera[c].name, check.text);
+        if (!job->how->find_lens) continue;
+        rig->camera[td_rig_find(rig, o->camera[c].name)].camera = check.camera;
+        free(rig->covariance); /* of another model */
+        rig->covariance = NULL;
+    }
+    return TD_OK;
+}
+
 static td_status find_rig(hand_eye_job *job, td_error *error)
 {
     const char *path = job->how->rig ? job->how->rig : job->dataset->rig;
@@ -76,7 +93,9 @@ static td_status find_rig(hand_eye_job *job, td_error *error)
     TD_TRY(read_rig(&given, path, job, error));
     if (!job->how->free_intrinsics) {
         job->rig = given;
-        snprintf(job->rig_from, sizeof job->rig_from, "%s, held", path);
+        TD_TRY(check_lenses(job, given, error));
+        snprintf(job->rig_from, sizeof job->rig_from, "%s, held%s", path,
+                 *job->lens && job->how->find_lens ? ", with the distortion that the views tell of" : "");
         return TD_OK;
     }
     td_status status = calibrate_here(&job->rig, job, error);

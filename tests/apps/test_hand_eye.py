@@ -100,6 +100,23 @@ def test_real():
               f"{name}: X is {r['x']['name']}, with URDF and ROS lines")
 
 
+def test_lens():
+    """The Franka's camera is given without distortion; 8 boards tell of k1 = 0.064 ± 0.004, 4 corners of a tag do not."""
+    if not DATA:
+        return
+    held = job(f"{SOURCE}/tests/data/franka_in")
+    taken = job(f"{SOURCE}/tests/data/franka_in", "--intrinsics", "lens")
+    tag = job(f"{SOURCE}/tests/data/franka_to", "--intrinsics", "lens")
+    if not (held and taken and tag):
+        return
+    check(any("k1 = 0.064 ± 0.004" in r and "--intrinsics lens" in r for r in held["reasons"]), f"a lens left out is told: {held['reasons'][:2]}")
+    check(any("k1 = 0.064" in r and "taken in" in r for r in taken["reasons"]) and "distortion that the views tell of" in taken["cameras"],
+          f"and taken in when asked for: {taken['cameras']}")
+    check(taken["robot_noise"]["mm"] < 0.7 * held["robot_noise"]["mm"],
+          f"the robot is blamed for less: {held['robot_noise']['mm']:.2f} mm, with the lens {taken['robot_noise']['mm']:.2f} mm")
+    check(not any("k1" in r for r in tag["reasons"]) and tag["cameras"].endswith("held"), "too little to tell: nothing is changed")
+
+
 def test_wrong_square():
     if not DATA:
         return
@@ -303,6 +320,7 @@ def test_init_and_threads():
 
 
 test_real()
+test_lens()
 test_wrong_square()
 test_stereo()
 test_ethz()
