@@ -25,6 +25,8 @@ void td_vehicle_free(td_vehicle **result)
     free((*result)->place);
     free((*result)->sigma_place);
     free((*result)->left_out);
+    free((*result)->residual);
+    free((*result)->noise);
     td_vehicle_belief_free(&(*result)->belief);
     free(*result);
     *result = NULL;
@@ -40,8 +42,12 @@ static td_status result_new(td_vehicle **result, const td_vehicle_data *data, td
     v->place = calloc(points, sizeof *v->place);
     v->sigma_place = calloc(points, sizeof *v->sigma_place);
     v->left_out = calloc(data->sight_count, sizeof *v->left_out);
-    if (!v->offset || !v->sigma_offset || !v->place || !v->sigma_place || !v->left_out)
+    v->residual = calloc(data->sight_count, sizeof *v->residual);
+    v->noise = calloc(data->pose_count * joints, sizeof *v->noise);
+    if (!v->offset || !v->sigma_offset || !v->place || !v->sigma_place || !v->left_out || !v->residual ||
+        !v->noise)
         return td_fail(error, TD_ERROR_MEMORY, "no memory for a result");
+    for (size_t s = 0; s < data->sight_count; s++) v->residual[s][0] = v->residual[s][1] = NAN;
     v->rms_px = v->chi2_per_dof = v->sigma_mm = v->sigma_deg = NAN;
     v->sigma_tip_worst_mm = v->sigma_tip_median_mm = NAN;
     return TD_OK;
@@ -131,20 +137,27 @@ static void fill_estimates(td_vehicle *result, const td_vehicle_model *model,
     result->mount_from_rig = model->mount_from_rig;
     result->vehicle_from_rig = td_pose_compose(&from_mount, &model->mount_from_rig);
     for (int k = 0; k < model->joints; k++) result->offset[model->joint[k]] = model->offset[k];
+    for (size_t k = 0; k < data->pose_count; k++)
+        for (int j = 0; j < model->joints; j++)
+            result->noise[k * (size_t)data->robot->joint_count + (size_t)model->joint[j]] =
+                model->noise[k * (size_t)model->joints + (size_t)j];
     for (int p = 0; p < data->point_count; p++)
         for (int i = 0; i < 3; i++)
             result->place[p][i] =
                 model->seen[p] || isfinite(data->point[p].sigma[i]) ? model->place[p][i] : NAN;
     for (size_t s = 0; s < data->sight_count; s++) {
         const td_vehicle_sight *sight = &data->sight[s];
-        double r[2];
+        char text[TD_VEHICLE_POSE_TEXT];
+        double *r = result->residual[s];
+        if (!td_vehicle_residual(r, model, sight)) r[0] = r[1] = NAN;
         result->left_out[s] = !model->used[s];
         if (!model->used[s]) {
             result->outliers++;
             td_log_write(options->log, TD_LOG_WARNING, "vehicle",
-                         "left out: point %s in pose %zu as camera %s sees it",
-                         data->point[sight->point].name, sight->pose, data->rig->camera[sight->camera].name);
-        } else if (td_vehicle_residual(r, model, sight)) {
+                         "left out: point %s in %s as camera %s sees it", data->point[sight->point].name,
+                         td_vehicle_pose_text(text, data, sight->pose),
+                         data->rig->camera[sight->camera].name);
+        } else if (isfinite(r[0])) {
             sum += r[0] * r[0] + r[1] * r[1];
             used++;
         }

@@ -41,9 +41,10 @@ typedef struct td_vehicle_data {
     int vehicle; /* link whose frame is the vehicle's; where it is not `mount`, vehicle_from_rig is told with
                     the joints between the two at zero */
     size_t pose_count;
-    double *q;            /* (poses, joints) as the sensors said */
-    double *sigma_q;      /* (joints) rad or m, of one reading */
-    double *offset_prior; /* (joints) sigma of a joint's zero; 0: held, INFINITY: free */
+    const char *const *pose_name; /* (poses) for messages; NULL: their numbers */
+    double *q;                    /* (poses, joints) as the sensors said */
+    double *sigma_q;              /* (joints) rad or m, of one reading */
+    double *offset_prior;         /* (joints) sigma of a joint's zero; 0: held, INFINITY: free */
     int point_count;
     td_vehicle_point *point;
     size_t sight_count;
@@ -67,10 +68,12 @@ typedef struct td_vehicle {
                                       frame found, the arm's kinematics, the mean over the poses */
     size_t closed_poses;           /* that the mean is over, each with six known points or more; 0: none */
     double *offset, *sigma_offset; /* (joints) */
-    double (*place)[3], (*sigma_place)[3];          /* (points) m */
-    double rms_px, chi2_per_dof;                    /* NaN: no redundancy */
-    bool *left_out;                                 /* (sights) */
-    size_t outliers;                                /* how many of them */
+    double (*place)[3], (*sigma_place)[3]; /* (points) m */
+    double rms_px, chi2_per_dof;           /* NaN: no redundancy */
+    bool *left_out;                        /* (sights) */
+    double (*residual)[2]; /* (sights) px: predicted less seen, each pose with its own noise; NaN: behind */
+    double *noise;         /* (poses, joints) what is added to the readings besides the offsets */
+    size_t outliers;       /* how many of them */
     double sigma_tip_worst_mm, sigma_tip_median_mm; /* over the working space: see td_vehicle_tip_sigma */
     size_t null_count;
     char null_direction[8][320]; /* refused: in the machine's words, with what to do */

@@ -1,8 +1,18 @@
 /* What camera-to-vehicle data must be before anything is computed from them. */
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 
 #include "calib/vehicle_internal.h"
+
+const char *td_vehicle_pose_text(char text[TD_VEHICLE_POSE_TEXT], const td_vehicle_data *data, size_t pose)
+{
+    if (data->pose_name)
+        snprintf(text, TD_VEHICLE_POSE_TEXT, "pose %.*s", TD_NAME_SIZE - 1, data->pose_name[pose]);
+    else
+        snprintf(text, TD_VEHICLE_POSE_TEXT, "pose %zu", pose);
+    return text;
+}
 
 static td_status check_point(const td_vehicle_data *data, int p, td_error *error)
 {
@@ -33,6 +43,7 @@ static td_status check_point(const td_vehicle_data *data, int p, td_error *error
 static td_status check_sight(const td_vehicle_data *data, size_t s, td_error *error)
 {
     const td_vehicle_sight *sight = &data->sight[s];
+    char text[TD_VEHICLE_POSE_TEXT];
     if (sight->pose >= data->pose_count || sight->camera < 0 || sight->camera >= data->rig->count ||
         sight->point < 0 || sight->point >= data->point_count)
         return td_fail(
@@ -42,10 +53,11 @@ static td_status check_sight(const td_vehicle_data *data, size_t s, td_error *er
     if (!isfinite(sight->pixel[0]) || !isfinite(sight->pixel[1]) || !(sight->sigma_px > 0) ||
         !isfinite(sight->sigma_px))
         return td_fail(error, TD_ERROR_ARGUMENT,
-                       "sight %zu (point %s in pose %zu by camera %s): pixel (%g, %g), sigma %g px: give "
+                       "sight %zu (point %s in %s by camera %s): pixel (%g, %g), sigma %g px: give "
                        "numbers, and a sigma above 0",
-                       s, data->point[sight->point].name, sight->pose, data->rig->camera[sight->camera].name,
-                       sight->pixel[0], sight->pixel[1], sight->sigma_px);
+                       s, data->point[sight->point].name, td_vehicle_pose_text(text, data, sight->pose),
+                       data->rig->camera[sight->camera].name, sight->pixel[0], sight->pixel[1],
+                       sight->sigma_px);
     return TD_OK;
 }
 
@@ -53,21 +65,21 @@ static td_status check_sight(const td_vehicle_data *data, size_t s, td_error *er
 static td_status check_reading(const td_vehicle_data *data, size_t pose, int j, td_error *error)
 {
     const td_robot_joint *joint = &data->robot->joint[j];
+    char text[TD_VEHICLE_POSE_TEXT];
     bool shift = joint->kind == TD_JOINT_PRISMATIC;
     double q = data->q[pose * (size_t)data->robot->joint_count + (size_t)j];
     double margin = 1e-6 + 5 * data->sigma_q[j] + fmin(3 * data->offset_prior[j], 0.2);
     double unit = shift ? 1 : 57.29577951308232;
     if (!isfinite(q))
-        return td_fail(error, TD_ERROR_ARGUMENT, "pose %zu: joint %s reads %g: give a number", pose,
-                       joint->name, q);
+        return td_fail(error, TD_ERROR_ARGUMENT, "%s: joint %s reads %g: give a number",
+                       td_vehicle_pose_text(text, data, pose), joint->name, q);
     if (joint->kind == TD_JOINT_CONTINUOUS || (q >= joint->lower - margin && q <= joint->upper + margin))
         return TD_OK;
-    return td_fail(
-        error, TD_ERROR_DATA,
-        "pose %zu: joint %s reads %.4g %s, outside its limits of %.4g to %.4g %s: check units, sign "
-        "and zero of the sensor, or the limits in the robot's file",
-        pose, joint->name, q * unit, shift ? "m" : "deg", joint->lower * unit, joint->upper * unit,
-        shift ? "m" : "deg");
+    return td_fail(error, TD_ERROR_DATA,
+                   "%s: joint %s reads %.4g %s, outside its limits of %.4g to %.4g %s: check units, sign "
+                   "and zero of the sensor, or the limits in the robot's file",
+                   td_vehicle_pose_text(text, data, pose), joint->name, q * unit, shift ? "m" : "deg",
+                   joint->lower * unit, joint->upper * unit, shift ? "m" : "deg");
 }
 
 static td_status check_joints(const td_vehicle_data *data, td_error *error)

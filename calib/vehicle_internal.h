@@ -61,6 +61,9 @@ typedef struct td_vehicle_belief {
 
 /* vehicle_check.c */
 td_status td_vehicle_check(const td_vehicle_data *data, const td_vehicle_options *options, td_error *error);
+/* "pose 07", or its number where poses have no names. */
+enum { TD_VEHICLE_POSE_TEXT = TD_NAME_SIZE + 8 };
+const char *td_vehicle_pose_text(char text[TD_VEHICLE_POSE_TEXT], const td_vehicle_data *data, size_t pose);
 /* Poses whose readings differ from those of every pose before. */
 size_t td_vehicle_distinct_poses(const td_vehicle_model *model);
 
