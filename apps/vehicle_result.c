@@ -9,6 +9,8 @@
 #include "core/rig_formats.h"
 
 #define DEGREES 57.29577951308232
+/* A mean this many of its sigmas off is no chance. */
+#define ZERO_SIGMAS 5.0
 
 const gate_row vehicle_gate_defaults[] = {
     {"sigma_tip_mm", 15, 30,
@@ -16,7 +18,7 @@ const gate_row vehicle_gate_defaults[] = {
      "dug to 30 mm, and joints read to 0.05 degrees alone make 8 mm at the reach of 10 m"},
     {"sigma_mm", 5, 15, "sigma of the rig's position, worst axis: half of what the tip may have"},
     {"sigma_deg", 0.1, 0.2, "sigma of its rotation, worst axis; 0.1 degrees are 17 mm at 10 m"},
-    {"chi2_per_dof", 2, 9,
+    {"chi2_per_dof", 1.5, 4,
      "square of the residuals over what the sigmas promise: above 1, pixels or joints are noisier than said, "
      "and every sigma is too small by its root"},
     {"outlier_share", 0.05, 0.25, "sights left out over sights"},
@@ -95,6 +97,25 @@ const size_t vehicle_schema_count = sizeof vehicle_schema / sizeof *vehicle_sche
 
 /* ---- Verdict ---- */
 
+/* A joint whose zero is held and whose noise is no noise: its mean over the poses is many times what a mean
+ * of that many readings may be. */
+static void judge_zeros(gate_result *g, const vehicle_job *job)
+{
+    const td_vehicle_data *d = &job->data;
+    size_t n = (size_t)job->robot->joint_count;
+    for (size_t j = 0; j < n; j++) {
+        const char *name = job->robot->joint[j].name;
+        double mean = 0, one = d->sigma_q[j] / sqrt((double)d->pose_count);
+        for (size_t k = 0; k < d->pose_count; k++)
+            mean += job->result->noise[k * n + j] / (double)d->pose_count;
+        if (d->offset_prior[j] == 0 && fabs(mean) > ZERO_SIGMAS * one)
+            gate_add(g, VERDICT_WARNED,
+                     "the noise of joint %s does not average out over the poses (%.0f sigmas): its zero, or one "
+                     "next to it, may be wrong: ask for it (--offsets %s=1)",
+                     name, fabs(mean) / one, name);
+    }
+}
+
 static void judge_figures(gate_result *g, const gate_row *rows, const vehicle_job *job)
 {
     const td_vehicle *r = job->result;
@@ -122,6 +143,7 @@ static void judge_figures(gate_result *g, const gate_row *rows, const vehicle_jo
                    sqrt(r->chi2_per_dof));
     gate_check(g, rows, n, "outlier_share", share, "%zu of %zu sights were left out", r->outliers,
                job->data.sight_count);
+    judge_zeros(g, job);
     for (size_t i = 0; i < r->weak_count; i++) gate_add(g, VERDICT_WARNED, "%s", r->weak[i]);
     if (!job->rig->covariance)
         gate_add(g, VERDICT_WARNED,

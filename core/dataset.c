@@ -234,7 +234,6 @@ static td_status parse_hand_eye(td_dataset *d, const td_field *top, const char *
     td_field robot = td_field_get(top, "robot"), target = td_field_get(top, "target_poses");
     td_field rig = td_field_get(top, "rig"), setup = td_field_get(top, "setup");
     int choice;
-    TD_TRY(td_dataset_parse_arm(&d->arm, top, d->folder, root, error));
     if (!d->arm) TD_TRY(parse_poses(&d->robot, &robot, d->folder, root, error));
     TD_TRY(parse_poses(&d->target_poses, &target, d->folder, root, error));
     if (rig.value) TD_TRY(td_dataset_parse_near(&d->rig, &rig, d->folder, root, error));
@@ -255,11 +254,14 @@ static td_status parse_description(td_dataset *d, places *p, const td_field *roo
     td_field target = td_field_get(root, "target"), cameras = td_field_get(root, "cameras");
     td_field expect = td_field_get(root, "expect"), folder = td_field_get(root, "root");
     td_field frames = td_field_get(root, "frames"), corners = td_field_get(root, "corners");
-    td_field robot = td_field_get(root, "robot");
+    if (folder.value)
+        TD_TRY(parse_path(&p->root, &folder, d->folder, error));
+    else if (!(p->root = strdup(d->folder)))
+        return out_of_memory(error);
+    TD_TRY(td_dataset_parse_arm(&d->arm, root, d->folder, p->root, error));
     /* Without images neither target nor cameras are needed; boards on an arm have targets of their own. */
-    bool arm = td_field_get(&robot, "joints").value || td_field_get(&robot, "urdf").value;
-    bool boards = td_field_get(root, "boards").value != NULL;
-    bool poses_only = td_field_get(root, "target_poses").value || (arm && !boards);
+    bool boards = d->arm && d->arm->board_count;
+    bool poses_only = td_field_get(root, "target_poses").value || (d->arm && !boards);
     if (target.value || !(poses_only || boards)) TD_TRY(td_target_parse(&d->target, &target, error));
     if (cameras.value || !poses_only) TD_TRY(parse_cameras(d, &cameras, error));
     TD_TRY(parse_expectation(d, &expect, error));
@@ -268,10 +270,6 @@ static td_status parse_description(td_dataset *d, places *p, const td_field *roo
     p->frames = td_path_join(d->folder, table);
     if (!p->frames) return out_of_memory(error);
     if (corners.value) TD_TRY(parse_path(&d->corners, &corners, d->folder, error));
-    if (folder.value)
-        TD_TRY(parse_path(&p->root, &folder, d->folder, error));
-    else if (!(p->root = strdup(d->folder)))
-        return out_of_memory(error);
     return parse_hand_eye(d, root, p->root, error);
 }
 
