@@ -21,6 +21,7 @@ void vehicle_free(vehicle_job *job)
     free(job->data.sigma_q);
     free(job->data.offset_prior);
     free(job->data.point);
+    free(job->data.board);
     free(job->data.sight);
     free(job->pose_name);
     free(job->names);
@@ -157,7 +158,8 @@ static td_status read_points(vehicle_job *job, td_error *error)
 {
     const td_dataset_arm *arm = job->dataset->arm;
     job->data.point = calloc(TD_VEHICLE_MAX_POINTS, sizeof *job->data.point);
-    if (!job->data.point) return td_fail(error, TD_ERROR_MEMORY, "out of memory");
+    job->data.board = calloc(TD_VEHICLE_MAX_BOARDS, sizeof *job->data.board);
+    if (!job->data.point || !job->data.board) return td_fail(error, TD_ERROR_MEMORY, "out of memory");
     for (int i = 0; i < arm->point_count; i++) {
         const td_dataset_point *from = &arm->point[i];
         td_vehicle_point point = {0};
@@ -290,17 +292,18 @@ static td_status board_points(vehicle_job *job, const td_dataset_board *board, s
                        "corners among them",
                        board->name, TD_VEHICLE_MAX_POINTS);
     for (size_t i = 0; i < *count; i++) {
-        td_vehicle_point point = {.link = link};
+        td_vehicle_point point = {.link = link, .board = job->data.board_count + 1};
         corner[i] = i * all / *count;
         snprintf(point.name, sizeof point.name, "%.50s:%zu", board->name, corner[i]);
         td_target_point(point.place, &board->target, corner[i]);
-        if (board->placed) td_pose_transform(point.place, &board->link_from_target, point.place);
-        for (int k = 0; k < 3 && !board->placed; k++) {
-            point.place[k] = NAN;
-            point.sigma[k] = INFINITY;
-        }
         TD_TRY(add_point(job, &point, error));
     }
+    td_vehicle_board *made = &job->data.board[job->data.board_count++];
+    *made = (td_vehicle_board){.link = link,
+                               .link_from_board = board->link_from_target,
+                               .sigma_rad = board->placed ? board->sigma_rad : INFINITY,
+                               .sigma_m = board->placed ? board->sigma_m : INFINITY};
+    snprintf(made->name, sizeof made->name, "%s", board->name);
     return TD_OK;
 }
 

@@ -74,6 +74,13 @@ const td_schema_row vehicle_schema[] = {
     {"points.*.sigma_m", TD_SCHEMA_REALS, true, true, "0: exact"},
     {"points.*.sights", TD_SCHEMA_INT, true, false, "used"},
     {"points.*.rms_px", TD_SCHEMA_REAL, true, true, "of their residuals"},
+    {"boards", TD_SCHEMA_OBJECT, false, false, "by name"},
+    {"boards.*", TD_SCHEMA_OBJECT, true, false, "a board on a link, or on the ground"},
+    {"boards.*.link", TD_SCHEMA_STRING, true, false, "on which it is"},
+    {"boards.*.q", TD_SCHEMA_REALS, true, false, "of link_from_target, unit quaternion w x y z"},
+    {"boards.*.t_m", TD_SCHEMA_REALS, true, false, "of link_from_target, m"},
+    {"boards.*.sigma_mm", TD_SCHEMA_REAL, true, true, "of t_m, worst axis; 0: exact"},
+    {"boards.*.sigma_deg", TD_SCHEMA_REAL, true, true, "of the rotation, worst axis; 0: exact"},
     {"per_pose", TD_SCHEMA_OBJECT, true, false, "by frame"},
     {"per_pose.*", TD_SCHEMA_OBJECT, true, false, "a pose of the arm"},
     {"per_pose.*.sights", TD_SCHEMA_INT, true, false, "used"},
@@ -109,10 +116,11 @@ static void judge_zeros(gate_result *g, const vehicle_job *job)
         for (size_t k = 0; k < d->pose_count; k++)
             mean += job->result->noise[k * n + j] / (double)d->pose_count;
         if (d->offset_prior[j] == 0 && fabs(mean) > ZERO_SIGMAS * one)
-            gate_add(g, VERDICT_WARNED,
-                     "the noise of joint %s does not average out over the poses (%.0f sigmas): its zero, or one "
-                     "next to it, may be wrong: ask for it (--offsets %s=1)",
-                     name, fabs(mean) / one, name);
+            gate_add(
+                g, VERDICT_WARNED,
+                "the noise of joint %s does not average out over the poses (%.0f sigmas): its zero, or one "
+                "next to it, may be wrong: ask for it (--offsets %s=1)",
+                name, fabs(mean) / one, name);
     }
 }
 
@@ -304,6 +312,24 @@ static json_t *points_json(const vehicle_job *job)
     return all;
 }
 
+static json_t *boards_json(const vehicle_job *job)
+{
+    json_t *all = json_object();
+    bool known = !job->how->closed && !job->result->null_count;
+    for (int b = 0; b < job->data.board_count; b++) {
+        const td_vehicle_board *board = &job->data.board[b];
+        const td_pose *pose = job->how->closed ? &board->link_from_board : &job->result->link_from_board[b];
+        json_t *o = json_object();
+        set(o, "link", json_string(job->robot->link[board->link].name));
+        set(o, "q", td_json_reals(pose->q, 4));
+        set(o, "t_m", td_json_reals(pose->t, 3));
+        set(o, "sigma_mm", td_json_real(known ? 1e3 * job->result->sigma_board[b][1] : NAN));
+        set(o, "sigma_deg", td_json_real(known ? DEGREES * job->result->sigma_board[b][0] : NAN));
+        set(all, board->name, o);
+    }
+    return all;
+}
+
 static json_t *poses_json(const vehicle_job *job)
 {
     json_t *all = json_object();
@@ -402,6 +428,7 @@ json_t *vehicle_result(const vehicle_job *job)
     set(root, "weak_directions", strings((const char(*)[320])r->weak, r->weak_count));
     set(root, "joint_offsets", offsets_json(job));
     set(root, "points", points_json(job));
+    if (job->data.board_count) set(root, "boards", boards_json(job));
     set(root, "per_pose", poses_json(job));
     set(root, "poses", json_integer((json_int_t)job->data.pose_count));
     set(root, "sights", json_integer((json_int_t)job->data.sight_count));

@@ -20,6 +20,9 @@ static td_status check_point(const td_vehicle_data *data, int p, td_error *error
     if (point->link < 0 || point->link >= data->robot->link_count)
         return td_fail(error, TD_ERROR_ARGUMENT, "point %s: link %d: the robot %s has links 0 to %d",
                        point->name, point->link, data->robot->name, data->robot->link_count - 1);
+    if (point->board < 0 || point->board > data->board_count)
+        return td_fail(error, TD_ERROR_ARGUMENT, "point %s: board %d: there are %d boards", point->name,
+                       point->board, data->board_count);
     for (int i = 0; i < 3; i++) {
         double sigma = point->sigma[i], place = point->place[i];
         if (!(sigma >= 0))
@@ -36,6 +39,33 @@ static td_status check_point(const td_vehicle_data *data, int p, td_error *error
                 "point %s is on %s, which carries the cameras, and its place is free: measure it, or "
                 "take points on a link that moves against that one",
                 point->name, data->robot->link[data->mount].name);
+    }
+    return TD_OK;
+}
+
+static td_status check_board(const td_vehicle_data *data, int b, td_error *error)
+{
+    const td_vehicle_board *board = &data->board[b];
+    if (board->link < 0 || board->link >= data->robot->link_count)
+        return td_fail(error, TD_ERROR_ARGUMENT, "board %s: link %d: the robot %s has links 0 to %d",
+                       board->name, board->link, data->robot->name, data->robot->link_count - 1);
+    if (!(board->sigma_rad >= 0) || !(board->sigma_m >= 0))
+        return td_fail(error, TD_ERROR_ARGUMENT,
+                       "board %s: sigmas of its pose are %g rad and %g m: give 0 (exact) or more",
+                       board->name, board->sigma_rad, board->sigma_m);
+    if (board->link == data->mount && !(isfinite(board->sigma_rad) && isfinite(board->sigma_m)))
+        return td_fail(
+            error, TD_ERROR_DATA,
+            "board %s is on %s, which carries the cameras, and its pose is free: measure it, or fix "
+            "it to a link that moves against that one",
+            board->name, data->robot->link[data->mount].name);
+    for (int p = 0; p < data->point_count; p++) {
+        const td_vehicle_point *point = &data->point[p];
+        if (point->board == b + 1 && (point->link != board->link || point->sigma[0] != 0 ||
+                                      point->sigma[1] != 0 || point->sigma[2] != 0))
+            return td_fail(error, TD_ERROR_ARGUMENT,
+                           "point %s: is of board %s: it must be exact in it, and on the same link",
+                           point->name, board->name);
     }
     return TD_OK;
 }
@@ -122,6 +152,11 @@ td_status td_vehicle_check(const td_vehicle_data *data, const td_vehicle_options
     if (data->point_count < 1 || data->point_count > TD_VEHICLE_MAX_POINTS || !data->point)
         return td_fail(error, TD_ERROR_ARGUMENT, "vehicle: %d points: give 1 to %d", data->point_count,
                        TD_VEHICLE_MAX_POINTS);
+    if (data->board_count < 0 || data->board_count > TD_VEHICLE_MAX_BOARDS ||
+        (data->board_count && !data->board))
+        return td_fail(error, TD_ERROR_ARGUMENT, "vehicle: %d boards: give 0 to %d", data->board_count,
+                       TD_VEHICLE_MAX_BOARDS);
+    for (int b = 0; b < data->board_count; b++) TD_TRY(check_board(data, b, error));
     TD_TRY(td_rig_check(data->rig, error));
     for (int p = 0; p < data->point_count; p++) TD_TRY(check_point(data, p, error));
     for (size_t s = 0; s < data->sight_count; s++) TD_TRY(check_sight(data, s, error));
