@@ -62,7 +62,10 @@ static cli_command command = {
         "An arm whose joints are parallel leaves directions open (sideways along its pins; pitch against a "
         "free zero): they are named, with what to do, and no rig is written. Exit status: 0 done, 1 failed, "
         "2 "
-        "wrong usage, 3 the gate refuses the result (--accept), or a direction is open.",
+        "wrong usage, 3 the gate refuses the result (--accept), or a direction is open.\n\n"
+        "Of a dataset with target_poses (poses of a target on the arm, seen by the rig) the arm's own chain "
+        "is "
+        "calibrated: corrected origins of its joints.",
     .examples =
         "  teledimos vehicle datasets/zx200-stick -o x\n"
         "  teledimos vehicle datasets/zx200-stick -o y --offsets boom=0.2 --offsets arm=0.2 --advise\n"
@@ -169,6 +172,55 @@ static td_status finish(vehicle_job *job, const gate_row *rows, terminal *term, 
     return status;
 }
 
+static td_status write_kinematic(const vehicle_kinematic *k, const vehicle_job *job, const json_t *result,
+                                 const char *log, size_t log_size, td_error *error)
+{
+    char *yaml = NULL;
+    TD_TRY(td_folder_make(common.output, error));
+    char *report = td_path_join(common.output, "report.html");
+    td_status status = report ? vehicle_kinematic_report(k, job, report, error)
+                              : td_fail(error, TD_ERROR_MEMORY, "out of memory");
+    free(report);
+    if (status == TD_OK) status = write_text("log.jsonl", log, log_size, error);
+    if (status == TD_OK) status = td_document_to_yaml(&yaml, result, 15, error);
+    if (status == TD_OK) status = write_text("result.yaml", yaml, strlen(yaml), error);
+    free(yaml);
+    return status;
+}
+
+/* Poses of a target instead of points: the chain itself is calibrated. */
+static td_status run_kinematic(vehicle_job *job, terminal *term, char **log, size_t *log_size,
+                               td_error *error)
+{
+    vehicle_kinematic k = {0};
+    char *text = NULL;
+    td_status status = vehicle_read_robot(job, error);
+    if (status == TD_OK) status = vehicle_kinematic_solve(&k, job, error);
+    terminal_clear(term);
+    json_t *result = NULL;
+    if (status == TD_OK) {
+        vehicle_kinematic_judge(&k, job);
+        job->wanted = k.gate.verdict != VERDICT_REFUSED || accept;
+        result = vehicle_kinematic_result(&k, job);
+        status = td_schema_check(result, vehicle_kinematic_schema, vehicle_kinematic_schema_count, error);
+    }
+    fflush(term->log_file);
+    if (status == TD_OK && terminal_interrupted()) status = td_fail(error, TD_ERROR_CANCELLED, "interrupted");
+    if (status == TD_OK) status = write_kinematic(&k, job, result, *log, *log_size, error);
+    if (status == TD_OK && common.json) status = td_document_to_json(&text, result, 15, error);
+    if (status == TD_OK && text) fputs(text, stdout);
+    if (status == TD_OK && !text) {
+        vehicle_kinematic_table(&k, job);
+        printf("\nreport: %s/report.html\n", common.output);
+    }
+    if (status == TD_OK && (fflush(stdout) != 0 || ferror(stdout)))
+        status = td_fail(error, TD_ERROR_IO, "standard output cannot be written");
+    free(text);
+    json_decref(result);
+    td_kinematic_free(&k.result);
+    return status;
+}
+
 static td_status solve(vehicle_job *job, gate_row *rows, td_error *error)
 {
     for (size_t i = 0; i < gates.count; i++)
@@ -208,10 +260,13 @@ static int run(void)
     if (status == TD_OK) {
         job->dataset = dataset;
         job->how = &how;
-        status = solve(job, rows, &error);
+        if (!dataset->target_poses.path) status = solve(job, rows, &error);
     }
     terminal_clear(&term);
-    if (status == TD_OK) status = finish(job, rows, &term, &log, &log_size, &error);
+    if (status == TD_OK && dataset->target_poses.path)
+        status = run_kinematic(job, &term, &log, &log_size, &error);
+    else if (status == TD_OK)
+        status = finish(job, rows, &term, &log, &log_size, &error);
     int code = EXIT_DONE;
     if (status != TD_OK) {
         cli_complain(command.name, "%s", error.message[0] ? error.message : td_status_text(status));
@@ -246,8 +301,10 @@ int main(int argc, char **argv)
     if (status >= 0) return status;
     if (common.schema) {
         char *text = td_schema_describe(vehicle_schema, vehicle_schema_count);
-        if (text) fputs(text, stdout);
+        char *kinematic = td_schema_describe(vehicle_kinematic_schema, vehicle_kinematic_schema_count);
+        if (text && kinematic) printf("%s\nOf a dataset with target_poses:\n\n%s", text, kinematic);
         free(text);
+        free(kinematic);
         return EXIT_DONE;
     }
     if (!dataset_path) {

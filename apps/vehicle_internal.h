@@ -92,6 +92,22 @@ json_t *vehicle_provenance(const vehicle_job *job);
 void vehicle_table(const vehicle_job *job);
 td_status vehicle_report(const vehicle_job *job, const char *path, td_error *error);
 
+/* vehicle_kinematic.c: the chain's origins, where the dataset holds target_poses. */
+typedef struct vehicle_kinematic {
+    td_kinematic *result;
+    size_t held_out;
+    double held_out_mm, held_out_deg; /* mean over every fifth pose, predicted from the others; NaN */
+    gate_result gate;
+} vehicle_kinematic;
+extern const td_schema_row vehicle_kinematic_schema[];
+extern const size_t vehicle_kinematic_schema_count;
+td_status vehicle_kinematic_solve(vehicle_kinematic *k, vehicle_job *job, td_error *error);
+void vehicle_kinematic_judge(vehicle_kinematic *k, const vehicle_job *job);
+json_t *vehicle_kinematic_result(const vehicle_kinematic *k, const vehicle_job *job);
+void vehicle_kinematic_table(const vehicle_kinematic *k, const vehicle_job *job);
+td_status vehicle_kinematic_report(const vehicle_kinematic *k, const vehicle_job *job, const char *path,
+                                   td_error *error);
+
 /* vehicle_init.c: a dataset to fill in. */
 td_status vehicle_init(const char *folder, td_error *error);
 

@@ -154,6 +154,45 @@ def test_directions():
         close(job(f"{folder}/slewed"), below, "rig on the undercarriage, slewing")
 
 
+def test_board():
+    """A board of tags on the stick, rendered, found in the images."""
+    with tempfile.TemporaryDirectory() as folder:
+        truth = sets.make_board(f"{folder}/board", said=sets.board_pose())
+        text = open(f"{folder}/board/dataset.yaml").read()
+        r = job(f"{folder}/board")
+        close(r, truth, "a board of exact pose")
+        print(f"        {r['sights']} sights, RMS {r['rms_px']:.3f} px, chi-square over its freedom {r['chi2_per_dof']:.2f}")
+        check(r["closed"]["poses"] == 8 and set(r["points"]) >= {"plate:0", "plate:23"}, "its corners are points, and the closed way has them")
+
+        def described(said):
+            with open(f"{folder}/board/dataset.yaml", "w") as file:
+                file.write(text.replace(sets.board_pose(), said))
+            return f"{folder}/board"
+
+        moved = sets.BOARD @ sets.pose(sets.rotation([0.004, -0.003, 0.002]), [0.004, -0.003, 0.002])
+        r = job(described(sets.board_pose(moved) + "    sigma_mm: 3\n    sigma_deg: 0.2\n"), "--accept")
+        close(r, truth, "a board whose pose has a prior")
+        b = r["boards"]["plate"]
+        off = np.linalg.norm(np.array(b["t_m"]) - sets.BOARD[:3, 3])
+        check(1e3 * off < 4 * b["sigma_mm"] and 0 < b["sigma_mm"] < 6, f"its place is {1e3 * off:.2f} mm off, sigma {b['sigma_mm']:.2f} mm")
+        open_direction("a board of unknown pose", ["sideways along the axis of boom"], described(""))
+        truth = sets.make_board(f"{folder}/below", poses=6, on_cab=False, slew=0.25, said=sets.board_pose())
+        close(job(f"{folder}/below", "--accept"), truth, "the same, the rig on the undercarriage, while slewing")
+        described(sets.board_pose())
+        swap(f"{folder}/board/dataset.yaml", "order: downward", "order: downward, first_id: 100")
+        refused("a board that is not there", 1, ["board plate is in none of the images"], f"{folder}/board", command="vehicle")
+        described(sets.board_pose())
+        swap(f"{folder}/board/angles.csv", "\n04,", "\n40,")
+        refused("an image without readings", 1, ["frame 04", "angles.csv"], f"{folder}/board", command="vehicle")
+
+
+def swap(path, old, new):
+    text = open(path).read()
+    assert old in text
+    with open(path, "w") as file:
+        file.write(text.replace(old, new))
+
+
 def test_gate_and_products():
     with tempfile.TemporaryDirectory() as folder:
         out = f"{folder}/out"
@@ -300,6 +339,7 @@ test_shipped()
 test_schema()
 test_closed()
 test_directions()
+test_board()
 test_gate_and_products()
 test_cylinders_and_units()
 test_bad_input()

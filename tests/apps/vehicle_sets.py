@@ -156,6 +156,97 @@ def make(folder, poses=20, seed=4, on_cab=True, slew=0.0, noise=1.0, places=None
     return truth
 
 
+# ---- a board of tags on the stick, in images ----
+
+GRID = {"columns": 3, "rows": 2, "tag": 0.2, "spacing": 0.26}
+BOARD = pose(np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], float) @ rotation([0.05, -0.1, 0.03]), [0.9, 0.35, -0.3])  # arm_from_target
+BOARD_TEXT = (f"target: {{kind: aprilgrid, columns: {GRID['columns']}, rows: {GRID['rows']}, tag_size_m: {GRID['tag']}, "
+              f"spacing_m: {GRID['spacing']}, border: 1, order: downward}}")
+
+
+def board_picture(cell=20):
+    """The board from above, cell px for each of a tag's cells; its first point is at (margin, margin)."""
+    import cv2
+    dictionary = cv2.aruco.Dictionary_get(cv2.aruco.DICT_APRILTAG_36h11)
+    size, step, margin = 8 * cell, round(8 * cell * GRID["spacing"] / GRID["tag"]), 2 * cell
+    picture = np.full((step * (GRID["rows"] - 1) + size + 2 * margin, step * (GRID["columns"] - 1) + size + 2 * margin), 235, np.uint8)
+    for row in range(GRID["rows"]):
+        for column in range(GRID["columns"]):
+            tag = cv2.aruco.drawMarker(dictionary, row * GRID["columns"] + column, size, borderBits=1)[::-1, ::-1]  # as libapriltag reads it
+            picture[margin + row * step:margin + row * step + size, margin + column * step:margin + column * step + size] = np.maximum(tag, 20)
+    return picture, margin, size / GRID["tag"]
+
+
+def unproject(u, v):
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = INTRINSICS
+    x0, y0 = (u - cx) / fx, (v - cy) / fy
+    x, y = x0, y0
+    for _ in range(12):
+        r = x * x + y * y
+        radial = 1 + r * (k1 + r * (k2 + r * k3))
+        x, y = (x0 - 2 * p1 * x * y - p2 * (r + 2 * x * x)) / radial, (y0 - p1 * (r + 2 * y * y) - 2 * p2 * x * y) / radial
+    return x, y
+
+
+def render(camera_from_board, board, rng, fine=4):
+    """What a camera sees of the board, each pixel the mean of fine x fine rays, with noise of 1.5 grey levels."""
+    picture, margin, scale = board
+    height, width = picture.shape
+    corners = [project((camera_from_board @ [(u - margin) / scale, (v - margin) / scale, 0, 1])[:3]) for u in (0, width) for v in (0, height)]
+    low, high = np.floor(np.min(corners, 0)).astype(int) - 3, np.ceil(np.max(corners, 0)).astype(int) + 4
+    step = (np.arange(fine) + 0.5) / fine - 0.5
+    u, v = np.meshgrid((np.arange(low[0], high[0])[:, None] + step).ravel(), (np.arange(low[1], high[1])[:, None] + step).ravel())
+    x, y = unproject(u, v)
+    h = np.linalg.inv(camera_from_board[:3, [0, 1, 3]])
+    w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
+    a = np.floor((h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w * scale + margin).astype(int)
+    b = np.floor((h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w * scale + margin).astype(int)
+    inside = (a >= 0) & (b >= 0) & (a < width) & (b < height)
+    grey = np.where(inside, picture[np.clip(b, 0, height - 1), np.clip(a, 0, width - 1)], 120).astype(float)
+    grey = grey.reshape(high[1] - low[1], fine, high[0] - low[0], fine).mean((1, 3))
+    image = np.full((SIZE[1], SIZE[0]), 120.0)
+    image[low[1]:high[1], low[0]:high[0]] = grey
+    return np.clip(image + 1.5 * rng.normal(size=image.shape), 0, 255).astype(np.uint8)
+
+
+def make_board(folder, poses=8, seed=6, slew=0.1, said="", on_cab=True):
+    """A dataset of images of the board on the stick. said: what dataset.yaml tells of its pose."""
+    import cv2
+    machine, rng, board = Machine(), np.random.default_rng(seed), board_picture()
+    mount, truth = "upper" if on_cab else "undercarriage", mount_from_rig(on_cab)
+    os.makedirs(folder, exist_ok=True)
+    extent = [GRID["spacing"] * (GRID[k] - 1) + GRID["tag"] for k in ("columns", "rows")]
+    angles, k = [], 0
+    while k < poses:
+        q = {n: rng.uniform(-slew, slew) if n == "swing" else rng.uniform(*machine.limits(n)) for n in JOINTS}
+        links = machine.links(q)
+        rig_from_board = np.linalg.inv(links[mount] @ truth) @ links["arm"] @ BOARD
+        shown = all(seen_at(c, rig_from_board, [x, y, 0]) is not None for c in CAMERA_FROM_RIG for x in (-0.05, extent[0] + 0.05) for y in (-0.05, extent[1] + 0.05))
+        towards = rig_from_board[:3, 3] / np.linalg.norm(rig_from_board[:3, 3])
+        if not shown or rig_from_board[:3, 2] @ towards < 0.6 or np.linalg.norm(rig_from_board[:3, 3]) > 6:
+            continue
+        k += 1
+        for camera, camera_from_rig in CAMERA_FROM_RIG.items():
+            cv2.imwrite(f"{folder}/{camera}{k:02d}.png", render(camera_from_rig @ rig_from_board, board, rng))
+        angles.append((f"{k:02d}", {j: q[j] + np.radians(0.05) * rng.normal() for j in JOINTS}))
+    with open(f"{folder}/dataset.yaml", "w") as file:
+        file.write(f"name: board\nrig: rig.yaml\nrobot: {{urdf: {URDF}, joints: angles.csv, mount: {mount}, tip: bucket_tip}}\n"
+                   f"cameras: [{{name: left, model: brown5}}, {{name: right, model: brown5}}]\n"
+                   f"boards:\n  - name: plate\n    link: arm\n    {BOARD_TEXT}\n{said}")
+    with open(f"{folder}/angles.csv", "w") as file:
+        file.write("frame," + ",".join(f"{j}_deg" for j in JOINTS) + "\n"
+                   + "".join(n + "," + ",".join(f"{np.degrees(read[j]):.7f}" for j in JOINTS) + "\n" for n, read in angles))
+    with open(f"{folder}/frames.csv", "w") as file:
+        file.write("frame,left,right\n" + "".join(f"{n},left{n}.png,right{n}.png\n" for n, _ in angles))
+    with open(f"{folder}/rig.yaml", "w") as file:
+        file.write(rig_text())
+    return truth
+
+
+def board_pose(m=BOARD):
+    return f"    link_from_target: {{q: [{', '.join(repr(float(v)) for v in quaternion(m[:3, :3]))}], t_m: [{', '.join(repr(float(v)) for v in m[:3, 3])}]}}\n"
+
+
 if __name__ == "__main__":
     m = mount_from_rig()
     make(sys.argv[1], robot="../zx200/zx200.urdf",
