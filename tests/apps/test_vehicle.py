@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 
 import vehicle_sets as sets
-from common import SOURCE, check, fault_of_sentence, finish, refused, run
+from common import SOURCE, check, fault_of_sentence, finish, refused, run, skip
 
 SHIPPED = f"{SOURCE}/datasets/zx200-stick"
 
@@ -186,6 +186,51 @@ def test_board():
         refused("an image without readings", 1, ["frame 04", "angles.csv"], f"{folder}/board", command="vehicle")
 
 
+POSITIONER = """<robot name='positioner'><link name='base'/><link name='one'/><link name='two'/>
+<joint name='tilt' type='continuous'><parent link='base'/><child link='one'/>
+<origin xyz='2.2 0 1.6' rpy='1.5707963267948966 0 0'/><axis xyz='0 0 1'/></joint>
+<joint name='turn' type='continuous'><parent link='one'/><child link='two'/>
+<origin xyz='0 -0.475 0' rpy='-1.5707963267948966 0 0'/><axis xyz='0 0 1'/></joint></robot>
+"""
+
+
+def test_kinematic():
+    """The two-joint positioner of industrial calibration's example, with the chain that it states."""
+    path = f"{os.environ.get('TELEDIMOS_DATA', '')}/industrial-kinematic/measurements.yaml"
+    if not os.path.exists(path):
+        skip("industrial-kinematic is not there (TELEDIMOS_DATA)")
+        return
+    rows = list(yaml.safe_load(open(path)).values())
+    with tempfile.TemporaryDirectory() as folder:
+        with open(f"{folder}/positioner.urdf", "w") as file:
+            file.write(POSITIONER)
+        with open(f"{folder}/poses.csv", "w") as file:
+            file.write("x_m,y_m,z_m,qw,qx,qy,qz\n")
+            for row in rows:
+                p = row["pose"]
+                q = np.array([p[k] for k in ("qw", "qx", "qy", "qz")])
+                file.write(",".join(repr(float(v)) for v in [p["x"], p["y"], p["z"], *(q / np.linalg.norm(q))]) + "\n")
+
+        def described(text):
+            with open(f"{folder}/dataset.yaml", "w") as file:
+                file.write("name: positioner\nrobot: {urdf: positioner.urdf, joints: angles.csv, mount: base" + text + "}\ntarget_poses: {poses: poses.csv}\n")
+            with open(f"{folder}/angles.csv", "w") as file:
+                file.write("tilt_rad,turn_rad\n" + "".join(f"{a!r},{b!r}\n" for a, b in (row["target_joints"] for row in rows)))
+            return folder
+
+        r = job(described(", link: two"))
+        held = r["held_out"]
+        check(r["method"] == "kinematic" and held["mean_mm"] < 2 and held["mean_deg"] < 0.2 and held["poses"] >= len(rows) // 5 - 1,
+              f"the positioner's chain: every fifth pose held out, {held['mean_mm']:.3f} mm and {held['mean_deg']:.4f} deg off on average ({held['poses']} of {r['poses']})")
+        check(set(r["joints"]) == {"tilt", "turn"} and all("<origin" in j["origin_urdf"] and len(j["sigma"]) == 6 for j in r["joints"].values()), "corrected origins by joint")
+        refused("a target's link that is not said", 1, ["link"], described(""), command="vehicle")
+        refused("a target on the rig's own link", 1, ["no moving joint"], described(", link: base"), command="vehicle")
+        described(", link: two")
+        with open(f"{folder}/angles.csv", "a") as file:
+            file.write("0,0\n")
+        refused("a reading too many", 1, ["poses.csv", "angles.csv"], folder, command="vehicle")
+
+
 def swap(path, old, new):
     text = open(path).read()
     assert old in text
@@ -340,6 +385,7 @@ test_schema()
 test_closed()
 test_directions()
 test_board()
+test_kinematic()
 test_gate_and_products()
 test_cylinders_and_units()
 test_bad_input()

@@ -196,7 +196,8 @@ def render(camera_from_board, board, rng, fine=4):
     low, high = np.floor(np.min(corners, 0)).astype(int) - 3, np.ceil(np.max(corners, 0)).astype(int) + 4
     step = (np.arange(fine) + 0.5) / fine - 0.5
     u, v = np.meshgrid((np.arange(low[0], high[0])[:, None] + step).ravel(), (np.arange(low[1], high[1])[:, None] + step).ravel())
-    x, y = unproject(u, v)
+    # At random within its share of the pixel: rays in a grid would shift edges that lie along it.
+    x, y = unproject(u + (rng.random(u.shape) - 0.5) / fine, v + (rng.random(v.shape) - 0.5) / fine)
     h = np.linalg.inv(camera_from_board[:3, [0, 1, 3]])
     w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
     a = np.floor((h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w * scale + margin).astype(int)
@@ -205,8 +206,8 @@ def render(camera_from_board, board, rng, fine=4):
     grey = np.where(inside, picture[np.clip(b, 0, height - 1), np.clip(a, 0, width - 1)], 120).astype(float)
     grey = grey.reshape(high[1] - low[1], fine, high[0] - low[0], fine).mean((1, 3))
     image = np.full((SIZE[1], SIZE[0]), 120.0)
-    image[low[1]:high[1], low[0]:high[0]] = grey
-    return np.clip(image + 1.5 * rng.normal(size=image.shape), 0, 255).astype(np.uint8)
+    image[low[1]:high[1], low[0]:high[0]] = grey + 1.5 * rng.normal(size=grey.shape)
+    return np.clip(np.round(image), 0, 255).astype(np.uint8)
 
 
 def make_board(folder, poses=8, seed=6, slew=0.1, said="", on_cab=True):
