@@ -68,7 +68,7 @@ static cli_command command = {
         "calibrated: corrected origins of its joints.",
     .examples =
         "  teledimos vehicle datasets/zx200-stick -o x\n"
-        "  teledimos vehicle datasets/zx200-stick -o y --offsets boom=0.2 --offsets arm=0.2 --advise\n"
+        "  teledimos vehicle datasets/zx200-stick -o y --offsets boom=0.1 --offsets arm=0.5 --advise\n"
         "  teledimos vehicle datasets/zx200-stick -o z --closed --json\n"
         "  teledimos vehicle my-machine --init\n",
     .option = options,

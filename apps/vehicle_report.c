@@ -115,27 +115,26 @@ static void pose_table(td_report *r, const vehicle_job *job)
             v->closed_poses);
 }
 
-static void text_list(td_report *r, const char (*text)[320], size_t count)
+static void next_poses(td_report *r, const vehicle_job *job)
 {
-    for (size_t i = 0; i < count; i++) td_report_text(r, "• %s", text[i]);
+    if (!job->advice_count) return;
+    td_report_heading(r, "The next arm poses");
+    td_report_text(
+        r, "The poses that would help most at the tip if the same points were seen in them, each as if "
+           "those before had been taken:");
+    for (size_t i = 0; i < job->advice_count; i++) td_report_text(r, "• %s", job->advice[i]);
 }
 
-static void directions(td_report *r, const vehicle_job *job)
+static void boards(td_report *r, const vehicle_job *job)
 {
-    const td_vehicle *v = job->result;
-    if (v->null_count) {
-        td_report_heading(r, "What is not determined");
-        text_list(r, (const char(*)[320])v->null_direction, v->null_count);
-    }
-    if (v->weak_count) {
-        td_report_heading(r, "What is known badly");
-        text_list(r, (const char(*)[320])v->weak, v->weak_count);
-    }
-    if (job->advice_count) {
-        td_report_heading(r, "The next arm poses");
-        td_report_text(r, "The poses that would help most at the tip if the same points were seen in them, "
-                          "each as if those before had been taken:");
-        text_list(r, (const char(*)[320])job->advice, job->advice_count);
+    for (int b = 0; b < job->data.board_count && !job->how->closed; b++) {
+        const double *sigma = job->result->sigma_board[b];
+        char *urdf = td_pose_to_urdf(&job->result->link_from_board[b]);
+        td_report_text(r, "Board %s on %s: %s", job->data.board[b].name,
+                       link_name(job, job->data.board[b].link), urdf ? urdf : "");
+        if (!job->result->null_count && (sigma[0] > 0 || sigma[1] > 0))
+            td_report_text(r, "known to ± %.2f mm, %.3f°", 1e3 * sigma[1], DEGREES * sigma[0]);
+        free(urdf);
     }
 }
 
@@ -275,21 +274,22 @@ static void offset_table(td_report *r, const vehicle_job *job)
     td_report_table_end(r);
 }
 
+/* Open and weak directions stand in the verdict's box. */
 static void body(td_report *r, const vehicle_job *job)
 {
     const td_vehicle *v = job->result;
     bool solved = !v->null_count && !job->how->closed;
     if (solved) figures(r, job);
-    directions(r, job);
     td_report_heading(r, "Where the cameras sit on the vehicle");
     td_report_text(r,
                    "Robot: %s. The rig is on %s; the vehicle's frame is that of %s. %zu poses of the arm, %d "
                    "points, %zu sights.",
                    job->robot->name, link_name(job, job->data.mount), link_name(job, job->data.vehicle),
                    job->data.pose_count, job->data.point_count, job->data.sight_count);
-    pose_table(r, job);
+    if (!v->null_count || v->closed_poses) pose_table(r, job);
     offset_table(r, job);
     if (solved) tip_map(r, job);
+    next_poses(r, job);
     if (!job->how->closed) {
         td_report_heading(r, "Residuals");
         td_report_text(r, "Predicted less seen, with the joints' noise that was found for each pose.");
@@ -297,6 +297,7 @@ static void body(td_report *r, const vehicle_job *job)
         pose_residuals(r, job);
     }
     td_report_heading(r, "Points");
+    boards(r, job);
     point_residuals(r, job);
 }
 

@@ -17,7 +17,7 @@ const gate_row vehicle_gate_defaults[] = {
      "sigma at the tool's tip, the worst of the working space, reading of the joints included: a trench is "
      "dug to 30 mm, and joints read to 0.05 degrees alone make 8 mm at the reach of 10 m"},
     {"sigma_mm", 5, 15, "sigma of the rig's position, worst axis: half of what the tip may have"},
-    {"sigma_deg", 0.1, 0.2, "sigma of its rotation, worst axis; 0.1 degrees are 17 mm at 10 m"},
+    {"sigma_deg", 0.1, 0.3, "sigma of its rotation, worst axis; 0.1 degrees are 17 mm at 10 m"},
     {"chi2_per_dof", 1.5, 4,
      "square of the residuals over what the sigmas promise: above 1, pixels or joints are noisier than said, "
      "and every sigma is too small by its root"},
