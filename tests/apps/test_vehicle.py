@@ -76,7 +76,7 @@ def test_shipped():
         check(status == 0 and "verdict: accepted" in text, f"datasets/zx200-stick as typed: exit {status} {errors[:200]}")
         rig = yaml.safe_load(open(f"{folder}/x/rig.yaml"))
         result = yaml.safe_load(open(f"{folder}/x/result.yaml"))
-        check(rig["vehicle_from_rig"]["t_m"] == rig["vehicle_from_rig"]["t_m"] and
+        check(np.allclose(rig["vehicle_from_rig"]["q"], result["vehicle_from_rig"]["q"], atol=1e-12) and
               np.allclose(rig["vehicle_from_rig"]["t_m"], result["vehicle_from_rig"]["t_m"], atol=1e-12), "rig.yaml holds vehicle_from_rig")
         made = rig["provenance"]
         check(made["job"] == "simulated" and made["vehicle"]["dataset"]["sha256"] == result["dataset"]["sha256"] and
