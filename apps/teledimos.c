@@ -15,6 +15,7 @@ static const struct {
     {"check", "check a rig against new images, without solving for it"},
     {"compare", "compare two rigs: difference over the images, with its significance"},
     {"hand-eye", "where the cameras sit on a robot, with how far to trust it"},
+    {"vehicle", "where the cameras sit on a machine, and what that is worth at the bucket's tip"},
     {"rectify", "turn stereo pairs so that rows match rows"},
     {"convert", "turn a rig into the files of another tool, or those into a rig"},
     {"target", "print a calibration target at true scale"},

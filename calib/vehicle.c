@@ -24,7 +24,11 @@ void td_vehicle_free(td_vehicle **result)
     free((*result)->sigma_offset);
     free((*result)->place);
     free((*result)->sigma_place);
+    free((*result)->link_from_board);
+    free((*result)->sigma_board);
     free((*result)->left_out);
+    free((*result)->residual);
+    free((*result)->noise);
     td_vehicle_belief_free(&(*result)->belief);
     free(*result);
     *result = NULL;
@@ -40,8 +44,14 @@ static td_status result_new(td_vehicle **result, const td_vehicle_data *data, td
     v->place = calloc(points, sizeof *v->place);
     v->sigma_place = calloc(points, sizeof *v->sigma_place);
     v->left_out = calloc(data->sight_count, sizeof *v->left_out);
-    if (!v->offset || !v->sigma_offset || !v->place || !v->sigma_place || !v->left_out)
+    v->residual = calloc(data->sight_count, sizeof *v->residual);
+    v->noise = calloc(data->pose_count * joints, sizeof *v->noise);
+    v->link_from_board = calloc((size_t)data->board_count + 1, sizeof *v->link_from_board);
+    v->sigma_board = calloc((size_t)data->board_count + 1, sizeof *v->sigma_board);
+    if (!v->link_from_board || !v->sigma_board || !v->offset || !v->sigma_offset || !v->place ||
+        !v->sigma_place || !v->left_out || !v->residual || !v->noise)
         return td_fail(error, TD_ERROR_MEMORY, "no memory for a result");
+    for (size_t s = 0; s < data->sight_count; s++) v->residual[s][0] = v->residual[s][1] = NAN;
     v->rms_px = v->chi2_per_dof = v->sigma_mm = v->sigma_deg = NAN;
     v->sigma_tip_worst_mm = v->sigma_tip_median_mm = NAN;
     return TD_OK;
@@ -131,25 +141,68 @@ static void fill_estimates(td_vehicle *result, const td_vehicle_model *model,
     result->mount_from_rig = model->mount_from_rig;
     result->vehicle_from_rig = td_pose_compose(&from_mount, &model->mount_from_rig);
     for (int k = 0; k < model->joints; k++) result->offset[model->joint[k]] = model->offset[k];
-    for (int p = 0; p < data->point_count; p++)
+    for (size_t k = 0; k < data->pose_count; k++)
+        for (int j = 0; j < model->joints; j++)
+            result->noise[k * (size_t)data->robot->joint_count + (size_t)model->joint[j]] =
+                model->noise[k * (size_t)model->joints + (size_t)j];
+    memcpy(result->link_from_board, model->board, (size_t)data->board_count * sizeof *model->board);
+    for (int p = 0; p < data->point_count; p++) {
+        double x[3];
+        td_vehicle_place(x, model, p);
         for (int i = 0; i < 3; i++)
-            result->place[p][i] =
-                model->seen[p] || isfinite(data->point[p].sigma[i]) ? model->place[p][i] : NAN;
+            result->place[p][i] = model->seen[p] || isfinite(data->point[p].sigma[i]) ? x[i] : NAN;
+    }
     for (size_t s = 0; s < data->sight_count; s++) {
         const td_vehicle_sight *sight = &data->sight[s];
-        double r[2];
+        char text[TD_VEHICLE_POSE_TEXT];
+        double *r = result->residual[s];
+        if (!td_vehicle_residual(r, model, sight)) r[0] = r[1] = NAN;
         result->left_out[s] = !model->used[s];
         if (!model->used[s]) {
             result->outliers++;
             td_log_write(options->log, TD_LOG_WARNING, "vehicle",
-                         "left out: point %s in pose %zu as camera %s sees it",
-                         data->point[sight->point].name, sight->pose, data->rig->camera[sight->camera].name);
-        } else if (td_vehicle_residual(r, model, sight)) {
+                         "left out: point %s in %s as camera %s sees it", data->point[sight->point].name,
+                         td_vehicle_pose_text(text, data, sight->pose),
+                         data->rig->camera[sight->camera].name);
+        } else if (isfinite(r[0])) {
             sum += r[0] * r[0] + r[1] * r[1];
             used++;
         }
     }
     result->rms_px = used ? sqrt(sum / (double)used) : NAN;
+}
+
+/* Worst axis of y = jacobian (3,6) times board's perturbation; each axis in sigma (3), which may be NULL. */
+static td_status spread(double *worst, double *sigma, const double *jacobian, const td_vehicle_belief *b,
+                        int board, td_error *error)
+{
+    size_t at = 6 + (size_t)b->joints + 3 * (size_t)b->points + 6 * (size_t)board;
+    double block[36], c[9], value[3];
+    for (size_t i = 0; i < 36; i++) block[i] = b->covariance[(at + i / 6) * b->size + at + i % 6];
+    TD_TRY(td_sandwich(c, jacobian, block, 3, 6, error));
+    TD_TRY(td_eigen_symmetric(value, NULL, c, 3, error));
+    if (worst) *worst = sqrt(fmax(value[2], 0));
+    for (int i = 0; i < 3 && sigma; i++) sigma[i] = sqrt(fmax(c[4 * i], 0));
+    return TD_OK;
+}
+
+/* Boards' sigmas, and those of their points in the link's frame. */
+static td_status fill_boards(td_vehicle *result, const td_vehicle_model *model, td_error *error)
+{
+    const td_vehicle_data *data = model->data;
+    const double turn[18] = {1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0};
+    double move[18];
+    for (int b = 0; b < data->board_count; b++) {
+        td_pose_transform_jacobian(move, model->board[b].t);
+        TD_TRY(spread(&result->sigma_board[b][0], NULL, turn, result->belief, b, error));
+        TD_TRY(spread(&result->sigma_board[b][1], NULL, move, result->belief, b, error));
+    }
+    for (int p = 0; p < data->point_count; p++) {
+        if (!data->point[p].board) continue;
+        td_pose_transform_jacobian(move, result->place[p]);
+        TD_TRY(spread(NULL, result->sigma_place[p], move, result->belief, data->point[p].board - 1, error));
+    }
+    return TD_OK;
 }
 
 /* From the belief: sigmas of the zeros and places, and the covariance of vehicle_from_rig. */
@@ -174,7 +227,7 @@ static td_status fill_sigmas(td_vehicle *result, const td_vehicle_model *model, 
     for (int p = 0; p < b->points; p++)
         for (int i = 0; i < 3; i++, at++)
             result->sigma_place[p][i] = sqrt(fmax(b->covariance[at * (b->size + 1)], 0));
-    return TD_OK;
+    return fill_boards(result, model, error);
 }
 
 static td_status fill_trust(td_vehicle *result, td_vehicle_model *model, const td_vehicle_options *options,

@@ -17,7 +17,7 @@
 extern "C" {
 #endif
 
-enum { TD_VEHICLE_MAX_POINTS = 64 };
+enum { TD_VEHICLE_MAX_POINTS = 64, TD_VEHICLE_MAX_BOARDS = 8 };
 
 /* A point on a link, or on the ground (link = the robot's root). */
 typedef struct td_vehicle_point {
@@ -25,7 +25,17 @@ typedef struct td_vehicle_point {
     int link;
     double place[3]; /* m, in the link's frame; NaN where nothing is known */
     double sigma[3]; /* m: prior of each coordinate; 0: exact; INFINITY: free */
+    int board;       /* 0: none; else its number from 1: place is then exact, in the board's frame */
 } td_vehicle_point;
+
+/* A rigid group of points (a target) on a link, or on the ground: points keep their places in it. */
+typedef struct td_vehicle_board {
+    char name[TD_NAME_SIZE];
+    int link;
+    td_pose link_from_board;
+    double sigma_rad, sigma_m; /* prior of its rotation and of its origin's place, each axis; 0: exact;
+                                  INFINITY: free */
+} td_vehicle_board;
 
 /* One point seen by one camera in one pose. */
 typedef struct td_vehicle_sight {
@@ -41,11 +51,14 @@ typedef struct td_vehicle_data {
     int vehicle; /* link whose frame is the vehicle's; where it is not `mount`, vehicle_from_rig is told with
                     the joints between the two at zero */
     size_t pose_count;
-    double *q;            /* (poses, joints) as the sensors said */
-    double *sigma_q;      /* (joints) rad or m, of one reading */
-    double *offset_prior; /* (joints) sigma of a joint's zero; 0: held, INFINITY: free */
+    const char *const *pose_name; /* (poses) for messages; NULL: their numbers */
+    double *q;                    /* (poses, joints) as the sensors said */
+    double *sigma_q;              /* (joints) rad or m, of one reading */
+    double *offset_prior;         /* (joints) sigma of a joint's zero; 0: held, INFINITY: free */
     int point_count;
     td_vehicle_point *point;
+    int board_count;
+    td_vehicle_board *board;
     size_t sight_count;
     td_vehicle_sight *sight;
 } td_vehicle_data;
@@ -67,10 +80,14 @@ typedef struct td_vehicle {
                                       frame found, the arm's kinematics, the mean over the poses */
     size_t closed_poses;           /* that the mean is over, each with six known points or more; 0: none */
     double *offset, *sigma_offset; /* (joints) */
-    double (*place)[3], (*sigma_place)[3];          /* (points) m */
-    double rms_px, chi2_per_dof;                    /* NaN: no redundancy */
-    bool *left_out;                                 /* (sights) */
-    size_t outliers;                                /* how many of them */
+    double (*place)[3], (*sigma_place)[3]; /* (points) m, in the link's frame, of boards' points too */
+    td_pose *link_from_board;              /* (boards) */
+    double (*sigma_board)[2];              /* (boards) rad of the rotation, m of the origin, worst axis */
+    double rms_px, chi2_per_dof;           /* NaN: no redundancy */
+    bool *left_out;                        /* (sights) */
+    double (*residual)[2]; /* (sights) px: predicted less seen, each pose with its own noise; NaN: behind */
+    double *noise;         /* (poses, joints) what is added to the readings besides the offsets */
+    size_t outliers;       /* how many of them */
     double sigma_tip_worst_mm, sigma_tip_median_mm; /* over the working space: see td_vehicle_tip_sigma */
     size_t null_count;
     char null_direction[8][320]; /* refused: in the machine's words, with what to do */

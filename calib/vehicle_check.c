@@ -1,8 +1,18 @@
 /* What camera-to-vehicle data must be before anything is computed from them. */
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 
 #include "calib/vehicle_internal.h"
+
+const char *td_vehicle_pose_text(char text[TD_VEHICLE_POSE_TEXT], const td_vehicle_data *data, size_t pose)
+{
+    if (data->pose_name)
+        snprintf(text, TD_VEHICLE_POSE_TEXT, "pose %.*s", TD_NAME_SIZE - 1, data->pose_name[pose]);
+    else
+        snprintf(text, TD_VEHICLE_POSE_TEXT, "pose %zu", pose);
+    return text;
+}
 
 static td_status check_point(const td_vehicle_data *data, int p, td_error *error)
 {
@@ -10,6 +20,9 @@ static td_status check_point(const td_vehicle_data *data, int p, td_error *error
     if (point->link < 0 || point->link >= data->robot->link_count)
         return td_fail(error, TD_ERROR_ARGUMENT, "point %s: link %d: the robot %s has links 0 to %d",
                        point->name, point->link, data->robot->name, data->robot->link_count - 1);
+    if (point->board < 0 || point->board > data->board_count)
+        return td_fail(error, TD_ERROR_ARGUMENT, "point %s: board %d: there are %d boards", point->name,
+                       point->board, data->board_count);
     for (int i = 0; i < 3; i++) {
         double sigma = point->sigma[i], place = point->place[i];
         if (!(sigma >= 0))
@@ -30,9 +43,37 @@ static td_status check_point(const td_vehicle_data *data, int p, td_error *error
     return TD_OK;
 }
 
+static td_status check_board(const td_vehicle_data *data, int b, td_error *error)
+{
+    const td_vehicle_board *board = &data->board[b];
+    if (board->link < 0 || board->link >= data->robot->link_count)
+        return td_fail(error, TD_ERROR_ARGUMENT, "board %s: link %d: the robot %s has links 0 to %d",
+                       board->name, board->link, data->robot->name, data->robot->link_count - 1);
+    if (!(board->sigma_rad >= 0) || !(board->sigma_m >= 0))
+        return td_fail(error, TD_ERROR_ARGUMENT,
+                       "board %s: sigmas of its pose are %g rad and %g m: give 0 (exact) or more",
+                       board->name, board->sigma_rad, board->sigma_m);
+    if (board->link == data->mount && !(isfinite(board->sigma_rad) && isfinite(board->sigma_m)))
+        return td_fail(
+            error, TD_ERROR_DATA,
+            "board %s is on %s, which carries the cameras, and its pose is free: measure it, or fix "
+            "it to a link that moves against that one",
+            board->name, data->robot->link[data->mount].name);
+    for (int p = 0; p < data->point_count; p++) {
+        const td_vehicle_point *point = &data->point[p];
+        if (point->board == b + 1 && (point->link != board->link || point->sigma[0] != 0 ||
+                                      point->sigma[1] != 0 || point->sigma[2] != 0))
+            return td_fail(error, TD_ERROR_ARGUMENT,
+                           "point %s: is of board %s: it must be exact in it, and on the same link",
+                           point->name, board->name);
+    }
+    return TD_OK;
+}
+
 static td_status check_sight(const td_vehicle_data *data, size_t s, td_error *error)
 {
     const td_vehicle_sight *sight = &data->sight[s];
+    char text[TD_VEHICLE_POSE_TEXT];
     if (sight->pose >= data->pose_count || sight->camera < 0 || sight->camera >= data->rig->count ||
         sight->point < 0 || sight->point >= data->point_count)
         return td_fail(
@@ -42,10 +83,11 @@ static td_status check_sight(const td_vehicle_data *data, size_t s, td_error *er
     if (!isfinite(sight->pixel[0]) || !isfinite(sight->pixel[1]) || !(sight->sigma_px > 0) ||
         !isfinite(sight->sigma_px))
         return td_fail(error, TD_ERROR_ARGUMENT,
-                       "sight %zu (point %s in pose %zu by camera %s): pixel (%g, %g), sigma %g px: give "
+                       "sight %zu (point %s in %s by camera %s): pixel (%g, %g), sigma %g px: give "
                        "numbers, and a sigma above 0",
-                       s, data->point[sight->point].name, sight->pose, data->rig->camera[sight->camera].name,
-                       sight->pixel[0], sight->pixel[1], sight->sigma_px);
+                       s, data->point[sight->point].name, td_vehicle_pose_text(text, data, sight->pose),
+                       data->rig->camera[sight->camera].name, sight->pixel[0], sight->pixel[1],
+                       sight->sigma_px);
     return TD_OK;
 }
 
@@ -53,21 +95,21 @@ static td_status check_sight(const td_vehicle_data *data, size_t s, td_error *er
 static td_status check_reading(const td_vehicle_data *data, size_t pose, int j, td_error *error)
 {
     const td_robot_joint *joint = &data->robot->joint[j];
+    char text[TD_VEHICLE_POSE_TEXT];
     bool shift = joint->kind == TD_JOINT_PRISMATIC;
     double q = data->q[pose * (size_t)data->robot->joint_count + (size_t)j];
     double margin = 1e-6 + 5 * data->sigma_q[j] + fmin(3 * data->offset_prior[j], 0.2);
     double unit = shift ? 1 : 57.29577951308232;
     if (!isfinite(q))
-        return td_fail(error, TD_ERROR_ARGUMENT, "pose %zu: joint %s reads %g: give a number", pose,
-                       joint->name, q);
+        return td_fail(error, TD_ERROR_ARGUMENT, "%s: joint %s reads %g: give a number",
+                       td_vehicle_pose_text(text, data, pose), joint->name, q);
     if (joint->kind == TD_JOINT_CONTINUOUS || (q >= joint->lower - margin && q <= joint->upper + margin))
         return TD_OK;
-    return td_fail(
-        error, TD_ERROR_DATA,
-        "pose %zu: joint %s reads %.4g %s, outside its limits of %.4g to %.4g %s: check units, sign "
-        "and zero of the sensor, or the limits in the robot's file",
-        pose, joint->name, q * unit, shift ? "m" : "deg", joint->lower * unit, joint->upper * unit,
-        shift ? "m" : "deg");
+    return td_fail(error, TD_ERROR_DATA,
+                   "%s: joint %s reads %.4g %s, outside its limits of %.4g to %.4g %s: check units, sign "
+                   "and zero of the sensor, or the limits in the robot's file",
+                   td_vehicle_pose_text(text, data, pose), joint->name, q * unit, shift ? "m" : "deg",
+                   joint->lower * unit, joint->upper * unit, shift ? "m" : "deg");
 }
 
 static td_status check_joints(const td_vehicle_data *data, td_error *error)
@@ -110,6 +152,11 @@ td_status td_vehicle_check(const td_vehicle_data *data, const td_vehicle_options
     if (data->point_count < 1 || data->point_count > TD_VEHICLE_MAX_POINTS || !data->point)
         return td_fail(error, TD_ERROR_ARGUMENT, "vehicle: %d points: give 1 to %d", data->point_count,
                        TD_VEHICLE_MAX_POINTS);
+    if (data->board_count < 0 || data->board_count > TD_VEHICLE_MAX_BOARDS ||
+        (data->board_count && !data->board))
+        return td_fail(error, TD_ERROR_ARGUMENT, "vehicle: %d boards: give 0 to %d", data->board_count,
+                       TD_VEHICLE_MAX_BOARDS);
+    for (int b = 0; b < data->board_count; b++) TD_TRY(check_board(data, b, error));
     TD_TRY(td_rig_check(data->rig, error));
     for (int p = 0; p < data->point_count; p++) TD_TRY(check_point(data, p, error));
     for (size_t s = 0; s < data->sight_count; s++) TD_TRY(check_sight(data, s, error));

@@ -18,7 +18,8 @@ typedef struct td_vehicle_model {
     td_pose mount_from_rig;
     double offset[TD_VEHICLE_MAX_CHAIN];
     double *noise;      /* (poses, joints of the chain) */
-    double (*place)[3]; /* (points) */
+    double (*place)[3]; /* (points) in the link's frame, or in the board's */
+    td_pose *board;     /* (boards) link_from_board */
     bool *seen;         /* (points) */
     bool *used;         /* (sights) */
     /* The rig's parameters are its own plus factor z; z is held at 0 and its covariance is the identity. */
@@ -37,11 +38,13 @@ typedef struct td_vehicle_problem {
     td_vehicle_term *term; /* (sights) */
     int mount, offset;
     int *noise; /* (poses) */
-    int *place; /* (points) */
+    int *place; /* (points) of a board's points: the board's */
+    int board[TD_VEHICLE_MAX_BOARDS];
     int chunks, chunk[TD_VEHICLE_MAX_CHUNKS], chunk_size[TD_VEHICLE_MAX_CHUNKS];
 } td_vehicle_problem;
 
-/* What is known of: the perturbation of mount_from_rig (6), the chain's offsets, the points' places (3 each).
+/* What is known of: the perturbation of mount_from_rig (6), the chain's offsets, the points' places (3 each;
+ * of boards' points nothing: their places are exact in the board), the perturbations of the boards (6 each).
  *
  * Open directions are those along which the sights say nothing (null), and those along which the rig's pose
  * is known to no better than TD_VEHICLE_OPEN (a turn counts by what it does at TD_VEHICLE_REACH): joint noise
@@ -50,8 +53,9 @@ typedef struct td_vehicle_problem {
 #define TD_VEHICLE_OPEN 0.3  /* m */
 #define TD_VEHICLE_REACH 3.0 /* m */
 typedef struct td_vehicle_belief {
-    int joints, points;
+    int joints, points, boards;
     int joint[TD_VEHICLE_MAX_CHAIN];
+    bool on_board[TD_VEHICLE_MAX_POINTS];
     int tip; /* link */
     size_t size;
     double *covariance; /* (size,size) */
@@ -61,6 +65,9 @@ typedef struct td_vehicle_belief {
 
 /* vehicle_check.c */
 td_status td_vehicle_check(const td_vehicle_data *data, const td_vehicle_options *options, td_error *error);
+/* "pose 07", or its number where poses have no names. */
+enum { TD_VEHICLE_POSE_TEXT = TD_NAME_SIZE + 8 };
+const char *td_vehicle_pose_text(char text[TD_VEHICLE_POSE_TEXT], const td_vehicle_data *data, size_t pose);
 /* Poses whose readings differ from those of every pose before. */
 size_t td_vehicle_distinct_poses(const td_vehicle_model *model);
 
@@ -77,8 +84,11 @@ td_pose td_vehicle_arm(double *jacobian, const td_robot *robot, int a, int link,
 void td_vehicle_joints(double q[TD_ROBOT_MAX_JOINTS], const td_vehicle_model *model, size_t pose);
 /* Residual of a sight, px. False: behind the camera. */
 bool td_vehicle_residual(double r[2], const td_vehicle_model *model, const td_vehicle_sight *sight);
-/* Its derivatives (2, …) by mount_from_rig, the offsets (as by the noise) and the place, over sigma_px. */
-bool td_vehicle_linearise(double by_mount[12], double *by_joint, double by_place[6],
+/* A point in its link's frame. */
+void td_vehicle_place(double x[3], const td_vehicle_model *model, int point);
+/* Its derivatives (2, …) by mount_from_rig, the offsets (as by the noise) and the place (2,3) or, of a
+ * board's point, the board's perturbation (2,6), over sigma_px. */
+bool td_vehicle_linearise(double by_mount[12], double *by_joint, double by_place[12],
                           const td_vehicle_model *model, const td_vehicle_sight *sight);
 td_status td_vehicle_problem_new(td_vehicle_problem *problem, td_vehicle_model *model, const td_loss *loss,
                                  td_error *error);

@@ -104,12 +104,14 @@ td_status td_vehicle_model_new(td_vehicle_model *model, const td_vehicle_data *d
     model->place = calloc(points + 1, sizeof *model->place);
     model->seen = calloc(points + 1, sizeof *model->seen);
     model->used = calloc(data->sight_count + 1, sizeof *model->used);
-    if (!model->place || !model->seen || !model->used)
+    model->board = calloc((size_t)data->board_count + 1, sizeof *model->board);
+    if (!model->place || !model->seen || !model->used || !model->board)
         return td_fail(error, TD_ERROR_MEMORY, "no memory for %zu sights", data->sight_count);
     for (size_t s = 0; s < data->sight_count; s++) {
         model->used[s] = true;
         model->seen[data->sight[s].point] = true;
     }
+    for (int b = 0; b < data->board_count; b++) model->board[b] = data->board[b].link_from_board;
     for (size_t p = 0; p < points; p++) {
         for (int i = 0; i < 3; i++)
             model->place[p][i] = isfinite(data->point[p].sigma[i]) ? data->point[p].place[i] : 0;
@@ -126,6 +128,7 @@ void td_vehicle_model_free(td_vehicle_model *model)
 {
     free(model->noise);
     free(model->place);
+    free(model->board);
     free(model->seen);
     free(model->used);
     free(model->factor);
@@ -193,7 +196,34 @@ static void chunk_jacobian(double *out, const td_vehicle_model *model, int c, in
 
 enum { MOUNT, OFFSET, NOISE, PLACE, CHUNKS };
 
-/* Blocks: mount_from_rig, the chain's offsets, the pose's noise, the point's place, the rig's deviations. */
+void td_vehicle_place(double x[3], const td_vehicle_model *model, int point)
+{
+    int board = model->data->point[point].board;
+    memcpy(x, model->place[point], sizeof *model->place);
+    if (board) td_pose_transform(x, &model->board[board - 1], x);
+}
+
+/* What the place's block holds: the place itself, or the pose of the point's board. */
+static const double *place_block(const td_vehicle_model *model, int point)
+{
+    int board = model->data->point[point].board;
+    return board ? (const double *)&model->board[board - 1] : model->place[point];
+}
+
+/* Derivative by the place's block, from that by the point in the link's frame (2,3). */
+static void place_jacobian(double *out, const double by_link[6], const double x[3], bool on_board)
+{
+    double move[18];
+    if (!on_board) {
+        memcpy(out, by_link, 6 * sizeof *out);
+        return;
+    }
+    td_pose_transform_jacobian(move, x);
+    multiply(out, by_link, move, 2, 3, 6);
+}
+
+/* Blocks: mount_from_rig, the chain's offsets, the pose's noise, the point's place or its board's pose, the
+ * rig's deviations. */
 static bool evaluate(double *residual, double *const *jacobian, const double *const *block, const void *user)
 {
     const td_vehicle_term *term = user;
@@ -212,8 +242,17 @@ static bool evaluate(double *residual, double *const *jacobian, const double *co
     td_pose rig_from_mount = td_pose_inverse(&mount_from_rig);
     td_rig_camera camera = deviated_camera(model, sight->camera, block + CHUNKS, chunks);
     td_pose camera_from_mount = td_pose_compose(&camera.camera_from_rig, &rig_from_mount);
-    double x_mount[3], x_camera[3], pixel[2], d_point[6], d_parameter[2 * TD_CAMERA_MAX_PARAMETERS];
-    td_pose_transform(x_mount, &mount_from_link, block[PLACE]);
+    double x_link[3], x_mount[3], x_camera[3], pixel[2], d_point[6],
+        d_parameter[2 * TD_CAMERA_MAX_PARAMETERS];
+    bool on_board = data->point[sight->point].board > 0;
+    if (on_board) {
+        td_pose link_from_board;
+        memcpy(&link_from_board, block[PLACE], sizeof link_from_board);
+        td_pose_transform(x_link, &link_from_board, model->place[sight->point]);
+    } else {
+        memcpy(x_link, block[PLACE], sizeof x_link);
+    }
+    td_pose_transform(x_mount, &mount_from_link, x_link);
     td_pose_transform(x_camera, &camera_from_mount, x_mount);
     if (!td_camera_project(pixel, d_point, d_parameter, &camera.camera, x_camera)) return false;
     for (int i = 0; i < 2; i++) residual[i] = w * (pixel[i] - sight->pixel[i]);
@@ -231,7 +270,9 @@ static bool evaluate(double *residual, double *const *jacobian, const double *co
     if (n && jacobian[NOISE]) multiply(jacobian[NOISE], by_pose, by_joint, 2, 6, n);
     if (jacobian[PLACE]) {
         td_pose_rotation(r, &mount_from_link);
-        multiply(jacobian[PLACE], by_mount, r, 2, 3, 3);
+        double by_link[6];
+        multiply(by_link, by_mount, r, 2, 3, 3);
+        place_jacobian(jacobian[PLACE], by_link, x_link, on_board);
     }
     int count = td_camera_parameter_count(camera.camera.model);
     for (int i = 0; i < 2 * count; i++) d_parameter[i] *= w;
@@ -247,7 +288,7 @@ bool td_vehicle_residual(double r[2], const td_vehicle_model *model, const td_ve
 {
     const double *block[CHUNKS + TD_VEHICLE_MAX_CHUNKS] = {
         (const double *)&model->mount_from_rig, model->offset,
-        model->noise + sight->pose * (size_t)model->joints, model->place[sight->point]};
+        model->noise + sight->pose * (size_t)model->joints, place_block(model, sight->point)};
     for (int k = 0; k < TD_VEHICLE_MAX_CHUNKS; k++) block[CHUNKS + k] = model->z + k * TD_MAX_BLOCK_SIZE;
     td_vehicle_term term = {model, sight};
     if (!evaluate(r, NULL, block, &term)) return false;
@@ -255,12 +296,12 @@ bool td_vehicle_residual(double r[2], const td_vehicle_model *model, const td_ve
     return true;
 }
 
-bool td_vehicle_linearise(double by_mount[12], double *by_joint, double by_place[6],
+bool td_vehicle_linearise(double by_mount[12], double *by_joint, double by_place[12],
                           const td_vehicle_model *model, const td_vehicle_sight *sight)
 {
     const double *block[CHUNKS + TD_VEHICLE_MAX_CHUNKS] = {
         (const double *)&model->mount_from_rig, model->offset,
-        model->noise + sight->pose * (size_t)model->joints, model->place[sight->point]};
+        model->noise + sight->pose * (size_t)model->joints, place_block(model, sight->point)};
     for (int k = 0; k < TD_VEHICLE_MAX_CHUNKS; k++) block[CHUNKS + k] = model->z + k * TD_MAX_BLOCK_SIZE;
     double r[2], *jacobian[CHUNKS + TD_VEHICLE_MAX_CHUNKS] = {by_mount, by_joint, NULL, by_place};
     td_vehicle_term term = {model, sight};
@@ -290,6 +331,46 @@ static td_status add_known(td_problem *problem, int *block, double *value, const
     return priors ? td_problem_add_prior(problem, *block, about, weight, error) : TD_OK;
 }
 
+/* A board's pose: exact, with a prior about where it was said to be, or free. The prior is of the board's own
+ * axes, log(mean^-1 value) = Ad(mean^-1) log(value mean^-1). */
+static td_status add_board(td_problem *problem, int *block, td_pose *value, const td_vehicle_board *board,
+                           bool seen, td_error *error)
+{
+    double weight[36], sigma[2] = {board->sigma_rad, board->sigma_m};
+    const double least[2] = {1e-7, 1e-6};
+    TD_TRY(td_problem_add_block(problem, block, (double *)value, 7, TD_POSE, false, error));
+    if (!seen || (sigma[0] == 0 && sigma[1] == 0)) return td_problem_hold(problem, *block, error);
+    if (!isfinite(sigma[0]) && !isfinite(sigma[1])) return TD_OK;
+    td_pose mean = board->link_from_board, inverse = td_pose_inverse(&mean);
+    td_pose_adjoint(weight, &inverse);
+    for (int i = 0; i < 36; i++) {
+        double one = sigma[i / 18];
+        weight[i] = isfinite(one) ? weight[i] / fmax(one, least[i / 18]) : 0;
+    }
+    return td_problem_add_prior(problem, *block, (const double *)&mean, weight, error);
+}
+
+static td_status add_places(td_vehicle_problem *vp, td_vehicle_model *model, td_error *error)
+{
+    const td_vehicle_data *data = model->data;
+    const double zero[3] = {0};
+    for (int b = 0; b < data->board_count; b++) {
+        bool seen = false;
+        for (int p = 0; p < data->point_count; p++)
+            seen = seen || (data->point[p].board == b + 1 && model->seen[p]);
+        TD_TRY(add_board(vp->problem, &vp->board[b], &model->board[b], &data->board[b], seen, error));
+    }
+    for (int p = 0; p < data->point_count; p++) {
+        const td_vehicle_point *point = &data->point[p];
+        if (point->board)
+            vp->place[p] = vp->board[point->board - 1];
+        else
+            TD_TRY(add_known(vp->problem, &vp->place[p], model->place[p], point->place,
+                             model->seen[p] ? point->sigma : zero, 3, false, error));
+    }
+    return TD_OK;
+}
+
 static td_status add_blocks(td_vehicle_problem *vp, td_vehicle_model *model, const bool *pose_used,
                             td_error *error)
 {
@@ -307,9 +388,7 @@ static td_status add_blocks(td_vehicle_problem *vp, td_vehicle_model *model, con
     for (size_t k = 0; k < data->pose_count; k++)
         TD_TRY(add_known(vp->problem, &vp->noise[k], n ? model->noise + k * (size_t)n : model->noise, zero,
                          pose_used[k] ? sigma_q : zero, size, true, error));
-    for (int p = 0; p < data->point_count; p++)
-        TD_TRY(add_known(vp->problem, &vp->place[p], model->place[p], data->point[p].place,
-                         model->seen[p] ? data->point[p].sigma : zero, 3, false, error));
+    TD_TRY(add_places(vp, model, error));
     for (size_t first = 0; first < model->factor_columns; first += TD_MAX_BLOCK_SIZE) {
         size_t left = model->factor_columns - first;
         vp->chunk_size[vp->chunks] = (int)(left < TD_MAX_BLOCK_SIZE ? left : TD_MAX_BLOCK_SIZE);

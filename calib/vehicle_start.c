@@ -31,8 +31,11 @@ typedef struct fixes {
     fix *fix;
 } fixes;
 
-static bool is_known(const td_vehicle_point *point)
+static bool is_known(const td_vehicle_data *data, int p)
 {
+    const td_vehicle_point *point = &data->point[p];
+    const td_vehicle_board *board = point->board ? &data->board[point->board - 1] : NULL;
+    if (board) return isfinite(board->sigma_rad) && isfinite(board->sigma_m);
     return isfinite(point->sigma[0]) && isfinite(point->sigma[1]) && isfinite(point->sigma[2]);
 }
 
@@ -65,12 +68,16 @@ static void add_fix(fixes *out, const td_vehicle_model *model, size_t pose, int 
                     int count)
 {
     const td_vehicle_point *point = &model->data->point[p];
-    fix f = {.pose = pose, .point = p, .weight = 1, .known = is_known(point)};
+    fix f = {.pose = pose, .point = p, .weight = 1, .known = is_known(model->data, p)};
     if (!triangulate(f.rig, model, list, count)) return;
     double q[TD_ROBOT_MAX_JOINTS];
     td_vehicle_joints(q, model, pose);
     f.mount_from_link = td_vehicle_arm(NULL, model->data->robot, model->data->mount, point->link, q, NULL, 0);
-    if (f.known) td_pose_transform(f.mount, &f.mount_from_link, point->place);
+    if (f.known) {
+        double x[3];
+        td_vehicle_place(x, model, p);
+        td_pose_transform(f.mount, &f.mount_from_link, x);
+    }
     out->fix[out->count++] = f;
 }
 
@@ -243,6 +250,53 @@ static td_status one_round(linear *l, td_vehicle_model *model, fixes *all, size_
     return TD_OK;
 }
 
+/* The pose of a free board from where its points came out on the link (Kabsch). */
+static td_status place_board(td_vehicle_model *model, int b, const bool *found, td_error *error)
+{
+    const td_vehicle_data *data = model->data;
+    double m[3] = {0}, l[3] = {0}, h[9] = {0}, r[9], t[3];
+    int n = 0;
+    for (int pass = 0; pass < 2; pass++)
+        for (int p = 0; p < data->point_count; p++) {
+            const double *own = data->point[p].place, *link = model->place[p];
+            if (data->point[p].board != b + 1 || !found[p]) continue;
+            n += pass == 0;
+            for (int k = 0; k < 3 && pass == 0; k++) m[k] += own[k], l[k] += link[k];
+            for (int k = 0; k < 9 && pass == 1; k++)
+                h[k] += (link[k / 3] - l[k / 3] / n) * (own[k % 3] - m[k % 3] / n);
+        }
+    if (n < 3)
+        return td_fail(error, TD_ERROR_DATA,
+                       "board %s: fewer than three of its points are seen by two cameras at once: show it to "
+                       "both, or give its pose on the link",
+                       data->board[b].name);
+    TD_TRY(td_nearest_rotation(r, h, error));
+    for (int k = 0; k < 3; k++) {
+        t[k] = l[k];
+        for (int c = 0; c < 3; c++) t[k] -= r[3 * k + c] * m[c];
+        t[k] /= n;
+    }
+    model->board[b] = td_pose_from_rotation(r, t);
+    return TD_OK;
+}
+
+/* Boards begin as free points: from those their poses, and the points' own places again. */
+static td_status place_boards(td_vehicle_model *model, const bool *found, td_error *error)
+{
+    const td_vehicle_data *data = model->data;
+    for (int b = 0; b < data->board_count; b++) {
+        const td_vehicle_board *board = &data->board[b];
+        bool seen = false;
+        for (int p = 0; p < data->point_count; p++)
+            seen = seen || (data->point[p].board == b + 1 && model->seen[p]);
+        if (seen && !(isfinite(board->sigma_rad) && isfinite(board->sigma_m)))
+            TD_TRY(place_board(model, b, found, error));
+    }
+    for (int p = 0; p < data->point_count; p++)
+        if (data->point[p].board) memcpy(model->place[p], data->point[p].place, sizeof *model->place);
+    return TD_OK;
+}
+
 static td_status start_unknown(td_vehicle_model *model, fixes *all, td_error *error)
 {
     const td_vehicle_data *data = model->data;
@@ -250,11 +304,12 @@ static td_status start_unknown(td_vehicle_model *model, fixes *all, td_error *er
     linear l = {0};
     size_t unknown = 0;
     for (size_t i = 0; i < all->count; i++) found[all->fix[i].point] = true;
+    for (int p = 0; p < data->point_count; p++) td_vehicle_place(model->place[p], model, p);
     for (int p = 0; p < data->point_count; p++)
         for (int k = 0; k < 3; k++) {
-            bool is_free = !isfinite(data->point[p].sigma[k]);
+            bool is_free = data->point[p].board ? !is_known(data, p) : !isfinite(data->point[p].sigma[k]);
             l.column[p][k] = is_free && found[p] ? (int)unknown++ : -1;
-            if (is_free && !found[p] && model->seen[p])
+            if (is_free && !found[p] && model->seen[p] && !data->point[p].board)
                 return td_fail(
                     error, TD_ERROR_DATA,
                     "point %s: its place is free and no pose shows it to two cameras: give its place, "
@@ -273,6 +328,7 @@ static td_status start_unknown(td_vehicle_model *model, fixes *all, td_error *er
         if (status == TD_OK && !reweight(all, distance))
             status = td_fail(error, TD_ERROR_MEMORY, "no memory for a start");
     }
+    if (status == TD_OK) status = place_boards(model, found, error);
     free(l.a);
     free(l.b);
     free(l.x);
@@ -296,7 +352,7 @@ static int busiest_camera(size_t *sights, const td_vehicle_data *data)
     for (int c = 0; c < data->rig->count; c++) {
         size_t count = 0;
         for (size_t s = 0; s < data->sight_count; s++)
-            count += data->sight[s].camera == c && is_known(&data->point[data->sight[s].point]);
+            count += data->sight[s].camera == c && is_known(data, data->sight[s].point);
         if (count > *sights) {
             *sights = count;
             camera = c;
@@ -313,11 +369,13 @@ static void collect(resection *r, const td_vehicle_model *model, int camera, siz
         const td_vehicle_point *point = &data->point[sight->point];
         const td_camera *c = &data->rig->camera[camera].camera;
         double q[TD_ROBOT_MAX_JOINTS];
-        if (sight->camera != camera || !is_known(point)) continue;
+        if (sight->camera != camera || !is_known(data, sight->point)) continue;
         if (!td_camera_unproject(r->ray[r->count], NULL, NULL, c, sight->pixel)) continue;
         td_vehicle_joints(q, model, sight->pose);
         td_pose arm = td_vehicle_arm(NULL, data->robot, data->mount, point->link, q, NULL, 0);
-        td_pose_transform(r->place[r->count++], &arm, point->place);
+        double x[3];
+        td_vehicle_place(x, model, sight->point);
+        td_pose_transform(r->place[r->count++], &arm, x);
     }
     for (size_t i = 0; i < 3 * r->count; i++) r->centre[i % 3] += r->place[i / 3][i % 3] / (double)r->count;
     for (size_t i = 0; i < 3 * r->count; i++)
@@ -407,7 +465,7 @@ td_status td_vehicle_start(td_vehicle_model *model, td_error *error)
     fixes all;
     bool any_free = false;
     for (int p = 0; p < model->data->point_count; p++)
-        any_free = any_free || (model->seen[p] && !is_known(&model->data->point[p]));
+        any_free = any_free || (model->seen[p] && !is_known(model->data, p));
     td_status status = find_fixes(&all, model, error);
     if (status == TD_OK && !any_free) {
         if (!start_known(model, &all) && (all.count >= 3 || !start_resection(model)))

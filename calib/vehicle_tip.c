@@ -20,6 +20,11 @@ static double null_part(const td_vehicle_belief *b, const td_vehicle_problem *vp
     if (i < 6) return td_covariance_null_direction(covariance, index, vp->mount, (int)i);
     if (i < 6 + n) return td_covariance_null_direction(covariance, index, vp->offset, (int)(i - 6));
     i -= 6 + n;
+    if (i >= 3 * (size_t)b->points) {
+        i -= 3 * (size_t)b->points;
+        return td_covariance_null_direction(covariance, index, vp->board[i / 6], (int)(i % 6));
+    }
+    if (b->on_board[i / 3]) return 0;
     return td_covariance_null_direction(covariance, index, vp->place[i / 3], (int)(i % 3));
 }
 
@@ -75,12 +80,29 @@ static td_status find_open(td_vehicle_belief *b, const td_vehicle_problem *vp,
     return TD_OK;
 }
 
+/* Part x of the belief: its block, where it begins, its length (0: nothing is sought there). */
+typedef struct part {
+    int block, at, width;
+} part;
+
+static part part_of(const td_vehicle_belief *b, const td_vehicle_problem *vp, int x)
+{
+    int places = 6 + b->joints, boards = places + 3 * b->points;
+    if (x == 0) return (part){vp->mount, 0, 6};
+    if (x == 1) return (part){vp->offset, 6, b->joints};
+    x -= 2;
+    if (x < b->points) return (part){vp->place[x], places + 3 * x, b->on_board[x] ? 0 : 3};
+    x -= b->points;
+    return (part){vp->board[x], boards + 6 * x, 6};
+}
+
 td_status td_vehicle_belief_new(td_vehicle_belief **belief, const td_vehicle_model *model,
                                 const td_vehicle_problem *vp, const td_covariance *covariance, int tip,
                                 td_error *error)
 {
-    int n = model->joints, points = model->data->point_count, blocks = 2 + points;
-    size_t size = 6 + (size_t)n + 3 * (size_t)points;
+    int n = model->joints, points = model->data->point_count, boards = model->data->board_count,
+        blocks = 2 + points + boards;
+    size_t size = 6 + (size_t)n + 3 * (size_t)points + 6 * (size_t)boards;
     td_vehicle_belief *b = *belief = calloc(1, sizeof *b);
     if (b) b->covariance = calloc(size * size, sizeof *b->covariance);
     if (b) b->open = calloc(TD_VEHICLE_MAX_OPEN * size, sizeof *b->open);
@@ -91,24 +113,20 @@ td_status td_vehicle_belief_new(td_vehicle_belief **belief, const td_vehicle_mod
     }
     b->joints = n;
     b->points = points;
+    b->boards = boards;
+    for (int p = 0; p < points; p++) b->on_board[p] = model->data->point[p].board > 0;
     b->tip = tip;
     b->size = size;
     memcpy(b->joint, model->joint, sizeof b->joint);
     td_status status = TD_OK;
     for (int i = 0; i < blocks && status == TD_OK; i++)
         for (int k = 0; k < blocks && status == TD_OK; k++) {
-            int ids[2], at[2], width[2];
-            for (int e = 0; e < 2; e++) {
-                int x = e ? k : i;
-                ids[e] = x == 0 ? vp->mount : x == 1 ? vp->offset : vp->place[x - 2];
-                at[e] = x == 0 ? 0 : x == 1 ? 6 : 6 + n + 3 * (x - 2);
-                width[e] = x == 0 ? 6 : x == 1 ? n : 3;
-            }
-            if (!width[0] || !width[1]) continue;
-            status = td_covariance_get(work, covariance, ids[0], ids[1], error);
-            for (int r = 0; r < width[0] && status == TD_OK; r++)
-                memcpy(b->covariance + (size_t)(at[0] + r) * size + at[1], work + r * width[1],
-                       (size_t)width[1] * sizeof *work);
+            part a = part_of(b, vp, i), c = part_of(b, vp, k);
+            if (!a.width || !c.width) continue;
+            status = td_covariance_get(work, covariance, a.block, c.block, error);
+            for (int r = 0; r < a.width && status == TD_OK; r++)
+                memcpy(b->covariance + (size_t)(a.at + r) * size + c.at, work + r * c.width,
+                       (size_t)c.width * sizeof *work);
         }
     if (status == TD_OK) status = find_open(b, vp, covariance, error);
     free(work);
@@ -328,7 +346,10 @@ static bool see(double *c, size_t n, td_vehicle_model *model, double sigma_px, d
     for (int camera = 0; camera < data->rig->count; camera++)
         for (int p = 0; p < data->point_count; p++) {
             td_vehicle_sight sight = {.camera = camera, .point = p, .sigma_px = sigma_px};
-            double by_mount[12], by_joint[2 * TD_VEHICLE_MAX_CHAIN], by_place[6], pixel[2];
+            double by_mount[12], by_joint[2 * TD_VEHICLE_MAX_CHAIN], by_place[12], pixel[2];
+            size_t board = (size_t)data->point[p].board, width = board ? 6 : 3,
+                   at =
+                       6 + joints + (board ? 3 * (size_t)data->point_count + 6 * (board - 1) : 3 * (size_t)p);
             const td_camera *c0 = &data->rig->camera[camera].camera;
             if (!model->seen[p] || !td_vehicle_residual(pixel, model, &sight)) continue;
             if (pixel[0] < 0 || pixel[1] < 0 || pixel[0] > c0->width - 1 || pixel[1] > c0->height - 1)
@@ -341,7 +362,7 @@ static bool see(double *c, size_t n, td_vehicle_model *model, double sigma_px, d
                 memcpy(h, by_mount + 6 * row, 6 * sizeof *h);
                 memcpy(h + 6, by_joint + (size_t)row * joints, joints * sizeof *h);
                 memcpy(h + noise, by_joint + (size_t)row * joints, joints * sizeof *h);
-                memcpy(h + 6 + joints + 3 * (size_t)p, by_place + 3 * row, 3 * sizeof *h);
+                memcpy(h + at, by_place + width * (size_t)row, width * sizeof *h);
                 update(c, h, n, work + n);
             }
         }
@@ -423,7 +444,9 @@ td_status td_vehicle_advise(double *q, char text[320], const td_vehicle *result,
     if (status == TD_OK) {
         memset(model.noise, 0, (size_t)model.joints * sizeof *model.noise);
         model.mount_from_rig = result->mount_from_rig;
-        memcpy(model.place, result->place, (size_t)data->point_count * sizeof *model.place);
+        for (int p = 0; p < data->point_count; p++)
+            if (!data->point[p].board) memcpy(model.place[p], result->place[p], sizeof *model.place);
+        for (int i = 0; i < data->board_count; i++) model.board[i] = result->link_from_board[i];
         for (int k = 0; k < model.joints; k++) model.offset[k] = result->offset[model.joint[k]];
         model.data = &one;
         a.before = a.best = tip_variance(b->covariance, b->size, a.weight, 6 + b->joints);

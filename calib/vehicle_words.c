@@ -240,6 +240,11 @@ static void tell_other(td_vehicle *result, const td_vehicle_model *model, const 
         add_text(result->null_direction, &result->null_count,
                  "zero of %.40s: give it a prior, or move that joint between images",
                  robot->joint[model->joint[largest - 6]].name);
+    else if (largest >= 6 + n + 3 * (size_t)b->points)
+        add_text(result->null_direction, &result->null_count,
+                 "pose of board %.40s on %.40s: measure it, or show the board in other poses",
+                 model->data->board[(largest - 6 - n - 3 * (size_t)b->points) / 6].name,
+                 robot->link[model->data->board[(largest - 6 - n - 3 * (size_t)b->points) / 6].link].name);
     else
         add_text(result->null_direction, &result->null_count,
                  "place of point %.40s along %c of %.40s: measure it, or show the point in other poses",

@@ -7,6 +7,7 @@
 #include <sys/stat.h>
 
 #include "core/csv.h"
+#include "core/dataset_internal.h"
 #include "core/document.h"
 #include "core/file.h"
 #include "core/target_internal.h"
@@ -52,6 +53,7 @@ void td_dataset_free(td_dataset **dataset)
     free(d->robot.path);
     free(d->target_poses.path);
     free(d->rig);
+    td_dataset_arm_free(&d->arm);
     free(d);
     *dataset = NULL;
 }
@@ -186,9 +188,8 @@ static td_status parse_name(td_dataset *d, const td_field *root, td_error *error
     return TD_OK;
 }
 
-/* A file of the dataset's folder, or else of the images'. */
-static td_status parse_near(char **path, const td_field *field, const char *folder, const char *root,
-                            td_error *error)
+td_status td_dataset_parse_near(char **path, const td_field *field, const char *folder, const char *root,
+                                td_error *error)
 {
     struct stat status;
     TD_TRY(parse_path(path, field, folder, error));
@@ -212,7 +213,7 @@ static td_status parse_poses(td_dataset_poses *poses, const td_field *field, con
     td_field path = td_field_get(field, "poses"), convention = td_field_get(field, "convention");
     td_field inverted = td_field_get(field, "inverted"), first = td_field_get(field, "scalar_first");
     td_field length = td_field_get(field, "length_unit"), angle = td_field_get(field, "angle_unit");
-    TD_TRY(parse_near(&poses->path, &path, folder, root, error));
+    TD_TRY(td_dataset_parse_near(&poses->path, &path, folder, root, error));
     if (convention.value)
         TD_TRY(td_field_choice(&choice, &convention, conventions, "auto, csv, matrix, visp or ethz", error));
     poses->how.convention = (td_pose_convention)choice;
@@ -233,9 +234,9 @@ static td_status parse_hand_eye(td_dataset *d, const td_field *top, const char *
     td_field robot = td_field_get(top, "robot"), target = td_field_get(top, "target_poses");
     td_field rig = td_field_get(top, "rig"), setup = td_field_get(top, "setup");
     int choice;
-    TD_TRY(parse_poses(&d->robot, &robot, d->folder, root, error));
+    if (!d->arm) TD_TRY(parse_poses(&d->robot, &robot, d->folder, root, error));
     TD_TRY(parse_poses(&d->target_poses, &target, d->folder, root, error));
-    if (rig.value) TD_TRY(parse_near(&d->rig, &rig, d->folder, root, error));
+    if (rig.value) TD_TRY(td_dataset_parse_near(&d->rig, &rig, d->folder, root, error));
     if (!setup.value) return TD_OK;
     TD_TRY(td_field_choice(&choice, &setup, setups, "eye-in-hand, eye-to-hand or robot-world", error));
     strcpy(d->setup, setups[choice]);
@@ -245,16 +246,23 @@ static td_status parse_hand_eye(td_dataset *d, const td_field *top, const char *
 /* Everything of dataset.yaml; d->folder is known. */
 static td_status parse_description(td_dataset *d, places *p, const td_field *root, td_error *error)
 {
-    static const char *const keys[] = {"name",   "about",  "root",    "target", "cameras",
-                                       "frames", "expect", "corners", "robot",  "target_poses",
-                                       "rig",    "setup",  NULL};
+    static const char *const keys[] = {"name",   "about",   "root",   "target",       "cameras", "frames",
+                                       "expect", "corners", "robot",  "target_poses", "rig",     "setup",
+                                       "points", "boards",  "sights", "sigma_px",     NULL};
     TD_TRY(td_field_check_keys(root, keys, error));
     TD_TRY(parse_name(d, root, error));
     td_field target = td_field_get(root, "target"), cameras = td_field_get(root, "cameras");
     td_field expect = td_field_get(root, "expect"), folder = td_field_get(root, "root");
     td_field frames = td_field_get(root, "frames"), corners = td_field_get(root, "corners");
-    bool poses_only = td_field_get(root, "target_poses").value != NULL;
-    if (target.value || !poses_only) TD_TRY(td_target_parse(&d->target, &target, error));
+    if (folder.value)
+        TD_TRY(parse_path(&p->root, &folder, d->folder, error));
+    else if (!(p->root = strdup(d->folder)))
+        return out_of_memory(error);
+    TD_TRY(td_dataset_parse_arm(&d->arm, root, d->folder, p->root, error));
+    /* Without images neither target nor cameras are needed; boards on an arm have targets of their own. */
+    bool boards = d->arm && d->arm->board_count;
+    bool poses_only = td_field_get(root, "target_poses").value || (d->arm && !boards);
+    if (target.value || !(poses_only || boards)) TD_TRY(td_target_parse(&d->target, &target, error));
     if (cameras.value || !poses_only) TD_TRY(parse_cameras(d, &cameras, error));
     TD_TRY(parse_expectation(d, &expect, error));
     const char *table = FRAMES;
@@ -262,10 +270,6 @@ static td_status parse_description(td_dataset *d, places *p, const td_field *roo
     p->frames = td_path_join(d->folder, table);
     if (!p->frames) return out_of_memory(error);
     if (corners.value) TD_TRY(parse_path(&d->corners, &corners, d->folder, error));
-    if (folder.value)
-        TD_TRY(parse_path(&p->root, &folder, d->folder, error));
-    else if (!(p->root = strdup(d->folder)))
-        return out_of_memory(error);
     return parse_hand_eye(d, root, p->root, error);
 }
 
@@ -407,7 +411,7 @@ static td_status fill(td_dataset *d, const json_t *document, const char *name, c
     places p = {NULL, NULL};
     td_csv *csv = NULL;
     td_status status = parse_description(d, &p, &root, error);
-    bool wanted = d->camera_count > 0 || !d->target_poses.path;
+    bool wanted = d->camera_count > 0 || !(d->target_poses.path || d->arm);
     if (status == TD_OK && wanted)
         status = given ? td_csv_parse(&csv, given->text, given->size, p.frames, error)
                        : td_csv_read(&csv, p.frames, error);

@@ -22,6 +22,7 @@
  *   setup: eye-in-hand                  # or eye-to-hand, robot-world
  *   target_poses: {poses: …}            # poses of the target in the rig (rig_from_target) instead of images;
  *                                       # target, cameras and frames.csv are then not needed
+ * Of camera-to-vehicle sets: robot: {urdf: …, joints: …}, points, boards, sights; core/dataset_arm.h.
  * Their files are looked for in the dataset's folder, then at root. A file in a zip archive is
  * "set.zip/folder/name".
  *
@@ -36,6 +37,7 @@
 #include <stddef.h>
 
 #include "camera.h"
+#include "dataset_arm.h"
 #include "rig.h"
 #include "robot_poses.h"
 #include "target.h"
@@ -74,8 +76,9 @@ typedef struct td_dataset {
     double expected_tolerance_m;
     char *corners; /* path of a CSV of points found elsewhere (calib/observations.h); NULL: detect */
     td_dataset_poses robot, target_poses;
-    char *rig;      /* path of the cameras' calibration; NULL: none */
-    char setup[16]; /* "eye-in-hand", …; "": not said */
+    char *rig;           /* path of the cameras' calibration; NULL: none */
+    char setup[16];      /* "eye-in-hand", …; "": not said */
+    td_dataset_arm *arm; /* NULL: no arm whose joints are read */
 } td_dataset;
 
 /* Reads DATASET/dataset.yaml (or the file itself when a path to a .yaml is given) and its frames. Everything

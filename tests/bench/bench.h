@@ -71,6 +71,9 @@ typedef struct bench_corners {
 } bench_corners;
 void bench_opencv_corners(void *corners);
 
+/* bench_vehicle.c */
+void bench_vehicle(const bench *b);
+
 /* bench_tags.c */
 void bench_tags(const bench *b);
 

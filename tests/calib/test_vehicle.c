@@ -69,7 +69,18 @@ static void test_jacobians(void **state)
         s.rig->covariance[i * (n + 1)] = i >= 9 && i < 15 ? 0 : i % 15 < 4 ? 0.04 : 1e-6;
     td_vehicle_model model;
     td_vehicle_problem vp;
+    td_vehicle_board board = {.link = s.point[3].link, .sigma_rad = 0.02, .sigma_m = 0.01};
+    td_pose said = td_pose_exp((double[]){0.2, -0.1, 0.3, 0.5, 0.1, -0.2}), back = td_pose_inverse(&said);
+    board.link_from_board = said;
+    s.data.board = &board;
+    s.data.board_count = 1;
+    for (int p = 3; p < 6; p++) {
+        td_pose_transform(s.place[p], &back, s.place[p]);
+        memcpy(s.point[p].place, s.place[p], sizeof s.place[p]);
+        s.point[p].board = 1;
+    }
     check_ok(td_vehicle_model_new(&model, &s.data, &error), error);
+    model.board[0] = td_pose_perturb(&said, (double[]){0.01, -0.02, 0.03, 0.01, 0.02, -0.01});
     model.mount_from_rig = s.mount_from_rig;
     memcpy(model.place, s.place, sizeof s.place[0] * (size_t)s.data.point_count);
     assert_int_equal(model.joints, 3);
@@ -348,6 +359,102 @@ static void test_ground_board(void **state)
     scene_drop(&s);
 }
 
+/* The stick's points become a board that stands at `pose` on it. */
+static void group(scene *s, td_vehicle_board *board, const td_pose *pose)
+{
+    td_pose back = td_pose_inverse(pose);
+    *board = (td_vehicle_board){.name = "plate", .link = s->point[0].link, .link_from_board = *pose};
+    s->data.board = board;
+    s->data.board_count = 1;
+    for (int p = 0; p < 6; p++) {
+        td_pose_transform(s->point[p].place, &back, s->place[p]);
+        s->point[p].board = 1;
+    }
+}
+
+static void test_board(void **state)
+{
+    (void)state;
+    scene s;
+    td_error error;
+    td_vehicle *v;
+    td_vehicle_board board;
+    char text[4096];
+    const td_pose pose = td_pose_exp((double[]){0.4, -0.3, 1.2, 1.1, 0.2, 0.1});
+    scene_make(&s, true);
+    scene_poses(&s, 20, 0.4, 5);
+    scene_measure(&s, 0, 1);
+    group(&s, &board, &pose);
+    check_ok(td_vehicle_solve(&v, &s.data, NULL, &error), error);
+    check_pose(&v->vehicle_from_rig, &s.mount_from_rig, 1e-8, 1e-7);
+    for (int i = 0; i < 18; i++) check_near(v->place[i / 3][i % 3], s.place[i / 3][i % 3], 1e-12);
+    assert_true(v->closed_poses == 20);
+    td_vehicle_free(&v);
+
+    scene_measure(&s, 1, 9);
+    board.sigma_rad = board.sigma_m = INFINITY;
+    board.link_from_board = td_pose_identity();
+    assert_int_equal(refused(text, &s.data), 1);
+    check_names(text, "sideways along the axis of boom (y of upper)");
+
+    /* A board on the ground, seen while slewing, settles that. */
+    scene_add_board(&s, true);
+    scene_poses(&s, 30, 0.4, 5);
+    scene_measure(&s, 1, 9);
+    check_ok(td_vehicle_solve(&v, &s.data, NULL, &error), error);
+    assert_int_equal(v->null_count, 0);
+    td_pose inverse = td_pose_inverse(&pose), off = td_pose_compose(&v->link_from_board[0], &inverse);
+    print_message("  free board: off %.3f mm, %.4f deg; sigma %.3f mm, %.4f deg\n",
+                  1e3 * td_pose_distance(&off), DEGREES * td_pose_angle(&off), 1e3 * v->sigma_board[0][1],
+                  DEGREES * v->sigma_board[0][0]);
+    check_less(td_pose_angle(&off), 5 * v->sigma_board[0][0]);
+    check_less(hypot(hypot(v->link_from_board[0].t[0] - pose.t[0], v->link_from_board[0].t[1] - pose.t[1]),
+                     v->link_from_board[0].t[2] - pose.t[2]),
+               5 * v->sigma_board[0][1]);
+    td_vehicle_free(&v);
+    board.link = s.data.mount;
+    check_fails(td_vehicle_solve(&v, &s.data, NULL, &error), TD_ERROR_DATA, error, "board plate is on upper");
+    scene_drop(&s);
+}
+
+/* A board whose pose has a prior: every run draws another one, common to all its points. */
+static void test_board_prior(void **state)
+{
+    (void)state;
+    scene s;
+    td_error error;
+    td_vehicle_board board;
+    int count = runs(150);
+    double chi2 = 0, tip_chi2 = 0;
+    const double sigma_rad = 2e-3, sigma_m = 3e-3, at[SCENE_JOINTS] = {0.3, 0.1, 1.5, 1.0};
+    const td_pose truth = td_pose_exp((double[]){0.4, -0.3, 1.2, 1.1, 0.2, 0.1});
+    td_random random = td_random_seed(8, 8);
+    scene_make(&s, true);
+    int tip = td_robot_find_link(s.robot, "bucket_tip");
+    scene_poses(&s, 12, 0.15, 3);
+    group(&s, &board, &truth);
+    board.sigma_rad = sigma_rad;
+    board.sigma_m = sigma_m;
+    for (int i = 0; i < count; i++) {
+        td_vehicle *v;
+        double xi[6], own[6], c9[9], d[3], q[SCENE_JOINTS];
+        scene_measure(&s, 1, (uint64_t)(700 + i));
+        for (int k = 0; k < 6; k++) own[k] = (k < 3 ? sigma_rad : sigma_m) * td_random_normal(&random);
+        td_pose wrong = td_pose_exp(own);
+        board.link_from_board = td_pose_compose(&truth, &wrong);
+        check_ok(td_vehicle_solve(&v, &s.data, &(td_vehicle_options){.tip = tip}, &error), error);
+        error_of(xi, &v->vehicle_from_rig, &s.mount_from_rig);
+        chi2 += mahalanobis(xi, v->covariance, 6) / (6 * count);
+        tip_error(d, q, &s, v, at, tip, &random);
+        check_ok(td_vehicle_tip_sigma(c9, v, &s.data, -1, q, &error), error);
+        tip_chi2 += mahalanobis(d, c9, 3) / (3 * count);
+        td_vehicle_free(&v);
+    }
+    check_chi2("vehicle_from_rig, board uncertain", chi2, 6.0 * count);
+    check_chi2("tip, board uncertain", tip_chi2, 3.0 * count);
+    scene_drop(&s);
+}
+
 static void test_zeros(void **state)
 {
     (void)state;
@@ -515,7 +622,8 @@ int main(void)
         cmocka_unit_test(test_undercarriage),  cmocka_unit_test(test_outliers),
         cmocka_unit_test(test_advice),         cmocka_unit_test(test_bad_input),
         cmocka_unit_test(test_rig_covariance), cmocka_unit_test(test_one_camera),
-        cmocka_unit_test(test_too_little),
+        cmocka_unit_test(test_too_little),     cmocka_unit_test(test_board),
+        cmocka_unit_test(test_board_prior),
     };
     td_linalg_single_thread();
     return cmocka_run_group_tests(tests, NULL, NULL);

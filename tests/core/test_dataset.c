@@ -269,6 +269,90 @@ static void test_files(void **state)
     free(path);
 }
 
+#define ARM "name: a\nrig: r.yaml\nrobot: {urdf: m.urdf, joints: q.csv, mount: cab"
+#define POINTS "}\nsights: s.csv\npoints:\n  - {name: p, link: stick"
+
+static void test_arm(void **state)
+{
+    (void)state;
+    td_error error;
+    td_dataset *d;
+    check_ok(parse(&d,
+                   ARM ", vehicle: base, tip: t, link: l, sigma_deg: {boom: 0.1}, sigma_mm: 2" POINTS
+                       ", place_m: [0.1, null, 1], sigma_m: [0, 1, 0.01]}\n  - {name: q, link: base}\n",
+                   "", &error),
+             error);
+    const td_dataset_arm *a = d->arm;
+    assert_non_null(a);
+    assert_null(d->robot.path);
+    assert_int_equal(d->frame_count, 0);
+    assert_string_equal(a->urdf, "here/m.urdf");
+    assert_string_equal(a->joints, "here/q.csv");
+    assert_string_equal(a->sights, "here/s.csv");
+    assert_string_equal(a->mount, "cab");
+    assert_string_equal(a->vehicle, "base");
+    assert_string_equal(a->tip, "t");
+    assert_string_equal(a->link, "l");
+    check_near(a->angle.all, 0.05 / 57.29577951308232, 1e-15);
+    assert_int_equal(a->angle.count, 1);
+    assert_string_equal(a->angle.joint[0], "boom");
+    check_near(a->angle.sigma[0], 0.1 / 57.29577951308232, 1e-15);
+    check_near(a->slide.all, 0.002, 1e-15);
+    assert_true(a->sigma_px == 0.5);
+    assert_int_equal(a->point_count, 2);
+    assert_true(a->point[0].place_m[0] == 0.1 && isnan(a->point[0].place_m[1]));
+    assert_true(a->point[0].sigma_m[0] == 0 && isinf(a->point[0].sigma_m[1]) &&
+                a->point[0].sigma_m[2] == 0.01);
+    assert_true(isnan(a->point[1].place_m[2]) && isinf(a->point[1].sigma_m[2]));
+    td_dataset_free(&d);
+
+    check_ok(parse(&d,
+                   ARM
+                   "}\ncameras: [{name: l, model: brown5}]\nboards:\n  - {name: b, link: stick, target: "
+                   "{kind: chessboard, columns: 9, rows: 6, spacing_m: 0.1}, link_from_target: {q: [1, 0, "
+                   "0, 0], t_m: [1, 2, 3]}, sigma_mm: 2, sigma_deg: 0.1}\n",
+                   "frame,l\n1,a.png\n", &error),
+             error);
+    const td_dataset_board *b = &d->arm->board[0];
+    assert_int_equal(d->arm->board_count, 1);
+    assert_true(b->placed && b->link_from_target.t[2] == 3 && b->target.plane[0].columns == 9);
+    check_near(b->sigma_m, 0.002, 1e-15);
+    check_near(b->sigma_rad, 0.1 / 57.29577951308232, 1e-15);
+    td_dataset_free(&d);
+}
+
+static void test_refused_arms(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *yaml, *words;
+    } bad[] = {
+        {"name: a\nsights: s.csv\n", "sights: belongs to an arm"},
+        {"name: a\nrobot: {urdf: m.urdf}\n", "robot.joints"},
+        {ARM ", poses: p.csv}\n", "robot: unknown key 'poses'"},
+        {ARM ", sigma_deg: {boom: -1}}\n", "robot.sigma_deg.boom"},
+        {ARM ", mount: ''}\n", "mount"},
+        {ARM POINTS "}\n  - {name: p, link: stick}\n", "points[1].name: 'p' is given twice"},
+        {ARM POINTS ", place_m: [1, 2]}\n", "points[0].place_m: must have 3 elements"},
+        {ARM POINTS ", place_m: [1, 2, x]}\n", "points[0].place_m[2]"},
+        {ARM POINTS ", place_m: [1, 2, 1e9]}\n", "points[0].place_m[2]"},
+        {ARM POINTS ", sigma_m: -0.1}\n", "points[0].sigma_m"},
+        {ARM POINTS ", where: 3}\n", "points[0]: unknown key 'where'"},
+        {ARM "}\nboards: [{name: b, link: l, target: {kind: cube}}]\n", "boards[0].target.kind"},
+        {ARM "}\nboards: [{name: b, link: l, target: {kind: chessboard, columns: 9, rows: 6, spacing_m: "
+             "0.1}}]\n",
+         "cameras"},
+        {ARM "}\nsights: s.csv\nsigma_px: 0\n", "sigma_px"},
+    };
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        td_error error;
+        td_dataset *d = NULL;
+        check_fails(parse(&d, bad[i].yaml, "frame,l\n1,a.png\n", &error), TD_ERROR_FORMAT, error,
+                    bad[i].words);
+        assert_null(d);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -278,6 +362,8 @@ int main(void)
         cmocka_unit_test(test_refused_descriptions),
         cmocka_unit_test(test_refused_frames),
         cmocka_unit_test(test_many_frames),
+        cmocka_unit_test(test_arm),
+        cmocka_unit_test(test_refused_arms),
         cmocka_unit_test_setup_teardown(test_files, scratch_make, scratch_remove),
     };
     return cmocka_run_group_tests(tests, set_data, NULL);
