@@ -68,8 +68,9 @@ td_status td_match_images_check(const td_pair *pair, const td_image *left, const
     return check_image(&pair->rig->camera[pair->right], right, "right", error);
 }
 
-double td_match_band_px(const td_pair *pair, const double left[2], const td_match_options *options)
+double td_match_band_px(const td_pair *pair, int i, int j, const td_match_options *options)
 {
+    const double left[2] = {i, j};
     double right[2];
     if (options->band_px > 0) return options->band_px;
     const double depth =

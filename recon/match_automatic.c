@@ -22,15 +22,24 @@ typedef struct work {
     outcome *verdict;               /* (count) */
 } work;
 
+/* All of the band around the curve of pixel (i, j) of plane `a` in plane `b`. */
+static bool search(td_band *band, const work *w, const td_pair *pair, const td_zncc_plane *a,
+                   const td_zncc_plane *b, int i, int j, double near_m, double far_m)
+{
+    td_zncc_window window;
+    const td_band_range range = {near_m, far_m, td_match_band_px(pair, i, j, w->options)};
+    const bool done = td_zncc_window_cut(&window, a, i, j, b) &&
+                      td_band_search(band, pair, i, j, &range, td_zncc_window_score, &window);
+    td_zncc_window_free(&window);
+    return done;
+}
+
 static outcome find_best(td_band_pixel *best, double *runner_up, const work *w, int i, int j)
 {
     const td_match_options *o = w->options;
-    const double left[2] = {i, j};
     td_band band;
     td_band_pixel peak[2];
-    if (!td_band_search(&band, w->pair, i, j, w->a, w->b, o->near_m, o->far_m,
-                        td_match_band_px(w->pair, left, o)))
-        return NO_MEMORY;
+    if (!search(&band, w, w->pair, w->a, w->b, i, j, o->near_m, o->far_m)) return NO_MEMORY;
     const size_t found = td_band_peaks(peak, 2, &band, o->half_window);
     td_band_free(&band);
     if (found == 0 || !(peak[0].score >= o->least_zncc)) return UNSEEN;
@@ -44,11 +53,9 @@ static outcome find_best(td_band_pixel *best, double *runner_up, const work *w, 
 static outcome check_back(const td_band_pixel *best, const work *w, int i, int j)
 {
     const td_match_options *o = w->options;
-    const double right[2] = {best->x, best->y};
     td_band band;
     bool other = false;
-    if (!td_band_search(&band, &w->back, best->x, best->y, w->b, w->a, 0.8 * o->near_m, 1.25 * o->far_m,
-                        td_match_band_px(&w->back, right, o)))
+    if (!search(&band, w, &w->back, w->b, w->a, best->x, best->y, 0.8 * o->near_m, 1.25 * o->far_m))
         return NO_MEMORY;
     for (size_t n = 0; n < band.count && !other; n++)
         other = band.pixel[n].score > best->score &&

@@ -7,79 +7,10 @@
 #include "recon/epipolar_internal.h"
 #include "recon/match_internal.h"
 
-enum {
-    LANES = 8,          /* a window's row is padded with zeros to whole vectors */
-    MOST_PIECES = 8192, /* of a curve: an end for cameras that have none */
-};
+enum { MOST_PIECES = 1024 }; /* of a curve: an end for those that have none */
 
 #define PIECE_PX 8.0
 #define RASTER_PX 0.5
-
-/* ---- The image made ready ---- */
-
-static td_status allocate_plane(td_zncc_plane *p)
-{
-    const size_t pixels = (size_t)p->width * (size_t)p->height;
-    p->grey = calloc(pixels + LANES, sizeof *p->grey);
-    p->sum = calloc(pixels, sizeof *p->sum);
-    p->factor = calloc(pixels, sizeof *p->factor);
-    return p->grey && p->sum && p->factor ? TD_OK : TD_ERROR_MEMORY;
-}
-
-/* Window sums by running sums: down the columns, then along the row. column (2,width). */
-static void fill_sums(td_zncc_plane *p, const td_image *image, int64_t *column)
-{
-    const int k = p->k, w = p->width;
-    const double n = (2. * k + 1) * (2. * k + 1);
-    int64_t *sums = column, *squares = column + w;
-    for (int y = 0; y < p->height; y++) {
-        const uint8_t *in = image->data + (size_t)y * (size_t)w;
-        for (int x = 0; x < w; x++) {
-            const int out = y > 2 * k ? in[x - (ptrdiff_t)(2 * k + 1) * w] : 0;
-            sums[x] += in[x] - out;
-            squares[x] += in[x] * in[x] - out * out;
-        }
-        if (y < 2 * k) continue;
-        int64_t sum = 0, square = 0;
-        for (int x = 0; x < w; x++) {
-            sum += sums[x] - (x > 2 * k ? sums[x - 2 * k - 1] : 0);
-            square += squares[x] - (x > 2 * k ? squares[x - 2 * k - 1] : 0);
-            if (x < 2 * k) continue;
-            const size_t centre = (size_t)(y - k) * (size_t)w + (size_t)(x - k);
-            const double deviation = n * (double)square - (double)sum * (double)sum;
-            p->sum[centre] = (int32_t)sum;
-            p->factor[centre] = deviation > 0 ? 1 / sqrt(deviation) : 0;
-        }
-    }
-}
-
-td_status td_zncc_plane_new(td_zncc_plane **plane, const td_image *image, int k, td_error *error)
-{
-    td_zncc_plane *p = calloc(1, sizeof *p);
-    int64_t *column = calloc(2 * (size_t)image->width, sizeof *column);
-    if (p) *p = (td_zncc_plane){image->width, image->height, k, NULL, NULL, NULL};
-    if (!p || !column || allocate_plane(p) != TD_OK) {
-        free(column);
-        td_zncc_plane_free(&p);
-        return td_fail(error, TD_ERROR_MEMORY, "no memory for the window sums of an image of %d x %d pixels",
-                       image->width, image->height);
-    }
-    for (size_t i = 0; i < (size_t)p->width * (size_t)p->height; i++) p->grey[i] = image->data[i];
-    fill_sums(p, image, column);
-    free(column);
-    *plane = p;
-    return TD_OK;
-}
-
-void td_zncc_plane_free(td_zncc_plane **plane)
-{
-    if (!*plane) return;
-    free((*plane)->grey);
-    free((*plane)->sum);
-    free((*plane)->factor);
-    free(*plane);
-    *plane = NULL;
-}
 
 /* ---- The curve in pieces ---- */
 
@@ -88,7 +19,7 @@ typedef struct piece {
 } piece;
 
 typedef struct path {
-    piece *piece;
+    piece piece[MOST_PIECES];
     size_t count;
 } path;
 
@@ -144,8 +75,8 @@ void td_band_free(td_band *band)
     empty_band(band);
 }
 
-/* The box that holds all pieces and the band around them, cut to where windows fit. False: none. */
-static bool set_box(td_band *band, const path *p, const td_zncc_plane *b, double band_px)
+/* The box that holds all pieces and the band around them, cut to the image. False: none. */
+static bool set_box(td_band *band, const path *p, const td_camera *camera, double band_px)
 {
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
     for (size_t i = 0; i < p->count; i++)
@@ -153,9 +84,9 @@ static bool set_box(td_band *band, const path *p, const td_zncc_plane *b, double
             low[c] = fmin(low[c], fmin(p->piece[i].from[c], p->piece[i].to[c]));
             high[c] = fmax(high[c], fmax(p->piece[i].from[c], p->piece[i].to[c]));
         }
-    const double x0 = fmax(floor(low[0] - band_px) - 1, b->k), y0 = fmax(floor(low[1] - band_px) - 1, b->k);
-    const double x1 = fmin(ceil(high[0] + band_px) + 1, b->width - 1 - b->k);
-    const double y1 = fmin(ceil(high[1] + band_px) + 1, b->height - 1 - b->k);
+    const double x0 = fmax(floor(low[0] - band_px), 0), y0 = fmax(floor(low[1] - band_px), 0);
+    const double x1 = fmin(ceil(high[0] + band_px), camera->width - 1);
+    const double y1 = fmin(ceil(high[1] + band_px), camera->height - 1);
     if (!(x1 >= x0 && y1 >= y0)) return false;
     band->x0 = (int)x0;
     band->y0 = (int)y0;
@@ -164,46 +95,10 @@ static bool set_box(td_band *band, const path *p, const td_zncc_plane *b, double
     return true;
 }
 
-/* The left window, rows padded with zeros. */
-typedef struct window {
-    int16_t *grey; /* (side,stride) */
-    int side, stride;
-    double sum, factor, n;
-} window;
-
-static bool cut_window(window *w, const td_zncc_plane *a, int i, int j)
+static bool add_pixel(td_band *band, int x, int y, td_band_score score, const void *user)
 {
-    const int k = a->k;
-    const size_t centre = (size_t)j * (size_t)a->width + (size_t)i;
-    w->side = 2 * k + 1;
-    w->stride = (w->side + LANES - 1) / LANES * LANES;
-    w->n = (double)w->side * w->side;
-    w->sum = a->sum[centre];
-    w->factor = a->factor[centre];
-    w->grey = calloc((size_t)w->side * (size_t)w->stride, sizeof *w->grey);
-    if (!w->grey) return false;
-    for (int y = 0; y < w->side; y++)
-        memcpy(w->grey + y * w->stride, a->grey + centre + (ptrdiff_t)(y - k) * a->width - k,
-               (size_t)w->side * sizeof *w->grey);
-    return true;
-}
-
-/* Below 2^31 for the largest window that options allow. */
-static int32_t product(const window *w, const int16_t *corner, int width)
-{
-    int32_t sum = 0;
-    for (int y = 0; y < w->side; y++) {
-        const int16_t *p = w->grey + y * w->stride, *q = corner + (ptrdiff_t)y * width;
-        for (int x = 0; x < w->stride; x++) sum += p[x] * q[x];
-    }
-    return sum;
-}
-
-static bool add_pixel(td_band *band, int x, int y, const window *w, const td_zncc_plane *b)
-{
-    const size_t centre = (size_t)y * (size_t)b->width + (size_t)x;
-    float *score = band->score + (size_t)(y - band->y0) * (size_t)band->width + (size_t)(x - band->x0);
-    if (!isnan(*score) || !(b->factor[centre] > 0)) return true;
+    float *stored = band->score + (size_t)(y - band->y0) * (size_t)band->width + (size_t)(x - band->x0);
+    if (!isnan(*stored)) return true;
     if (band->count == band->capacity) {
         const size_t capacity = 2 * band->capacity + 1024;
         td_band_pixel *more = realloc(band->pixel, capacity * sizeof *more);
@@ -211,15 +106,14 @@ static bool add_pixel(td_band *band, int x, int y, const window *w, const td_znc
         band->pixel = more;
         band->capacity = capacity;
     }
-    const double ab = product(w, b->grey + centre - (ptrdiff_t)b->k * b->width - b->k, b->width);
-    const double zncc = (w->n * ab - w->sum * b->sum[centre]) * w->factor * b->factor[centre];
-    band->pixel[band->count++] = (td_band_pixel){x, y, zncc};
-    *score = (float)zncc;
+    const double value = score(x, y, user);
+    if (!isnan(value)) band->pixel[band->count++] = (td_band_pixel){x, y, value};
+    *stored = (float)value;
     return true;
 }
 
 /* Pixels within the half width of a piece of the curve. */
-static bool add_piece(td_band *band, const piece *p, double band_px, const window *w, const td_zncc_plane *b)
+static bool add_piece(td_band *band, const piece *p, double band_px, td_band_score score, const void *user)
 {
     const double dx = p->to[0] - p->from[0], dy = p->to[1] - p->from[1], length = hypot(dx, dy);
     const int along = (int)ceil(length / RASTER_PX), across = (int)ceil(band_px / RASTER_PX);
@@ -230,36 +124,28 @@ static bool add_piece(td_band *band, const piece *p, double band_px, const windo
             const double x = floor(p->from[0] + s * dx - off * dy + 0.5);
             const double y = floor(p->from[1] + s * dy + off * dx + 0.5);
             if (x >= band->x0 && y >= band->y0 && x < band->x0 + band->width && y < band->y0 + band->height &&
-                !add_pixel(band, (int)x, (int)y, w, b))
+                !add_pixel(band, (int)x, (int)y, score, user))
                 return false;
         }
     return true;
 }
 
-bool td_band_search(td_band *band, const td_pair *pair, int i, int j, const td_zncc_plane *a,
-                    const td_zncc_plane *b, double near_m, double far_m, double band_px)
+bool td_band_search(td_band *band, const td_pair *pair, int i, int j, const td_band_range *range,
+                    td_band_score score, const void *user)
 {
-    td_epipolar_curve curve;
-    window w = {0};
-    path way = {malloc(MOST_PIECES * sizeof *way.piece), 0};
-    bool done = way.piece != NULL;
     const double left[2] = {i, j};
+    td_epipolar_curve curve;
+    path way;
     empty_band(band);
-    if (done && i >= a->k && j >= a->k && i < a->width - a->k && j < a->height - a->k &&
-        a->factor[(size_t)j * (size_t)a->width + (size_t)i] > 0 &&
-        td_epipolar_curve_init(&curve, NULL, pair, left)) {
-        follow_curve(&way, &curve, 1 / far_m, 1 / near_m, band_px);
-        if (set_box(band, &way, b, band_px)) {
-            const size_t cells = (size_t)band->width * (size_t)band->height;
-            band->score = malloc(cells * sizeof *band->score);
-            done = band->score && cut_window(&w, a, i, j);
-            for (size_t n = 0; done && n < cells; n++) band->score[n] = NAN;
-            for (size_t n = 0; done && n < way.count; n++)
-                done = add_piece(band, &way.piece[n], band_px, &w, b);
-        }
-    }
-    free(way.piece);
-    free(w.grey);
+    if (!td_epipolar_curve_init(&curve, NULL, pair, left)) return true;
+    follow_curve(&way, &curve, 1 / range->far_m, 1 / range->near_m, range->band_px);
+    if (!set_box(band, &way, curve.camera, range->band_px)) return true;
+    const size_t cells = (size_t)band->width * (size_t)band->height;
+    band->score = malloc(cells * sizeof *band->score);
+    bool done = band->score != NULL;
+    for (size_t n = 0; done && n < cells; n++) band->score[n] = NAN;
+    for (size_t n = 0; done && n < way.count; n++)
+        done = add_piece(band, &way.piece[n], range->band_px, score, user);
     if (!done) td_band_free(band);
     return done;
 }

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "recon/match_internal.h"
+#include "recon/zncc.h"
 
 #define SAME_PLACE_PX 1.0 /* two candidates that refinement brought nearer than this are one */
 
@@ -59,20 +60,37 @@ static size_t from_peaks(td_match *candidate, const td_band_pixel *peak, size_t 
     return n;
 }
 
-/* The band with window sums of what it needs, searched. */
-static td_status search(td_band *band, const td_pair *pair, const td_image *left, const td_image *right,
-                        const int pixel[2], const td_match_options *o, td_error *error)
+/* For one point the paper's formula as it stands is faster than window sums of whole images. */
+typedef struct window {
+    const td_image *left, *right;
+    int i, j, k;
+} window;
+
+static double score_window(int x, int y, const void *user)
 {
-    td_zncc_plane *a = NULL, *b = NULL;
-    const double at[2] = {pixel[0], pixel[1]};
-    td_status status = td_zncc_plane_new(&a, left, o->half_window, error);
-    if (status == TD_OK) status = td_zncc_plane_new(&b, right, o->half_window, error);
-    if (status == TD_OK && !td_band_search(band, pair, pixel[0], pixel[1], a, b, o->near_m, o->far_m,
-                                           td_match_band_px(pair, at, o)))
-        status = td_fail(error, TD_ERROR_MEMORY, "no memory to search along an epipolar curve");
-    td_zncc_plane_free(&a);
-    td_zncc_plane_free(&b);
-    return status;
+    const window *w = user;
+    return td_zncc(w->left, w->i, w->j, w->right, x, y, w->k);
+}
+
+static td_status rank(td_match **candidates, size_t *count, const td_band *band, const td_image *left,
+                      const td_image *right, const double point[2], const int pixel[2],
+                      const td_match_options *o, td_error *error)
+{
+    td_match *list = malloc((o->candidates + 1) * sizeof *list);
+    td_band_pixel *peak = malloc((o->candidates + 1) * sizeof *peak);
+    if (!list || !peak) {
+        free(list);
+        free(peak);
+        return td_fail(error, TD_ERROR_MEMORY, "no memory for %zu candidates", o->candidates);
+    }
+    const size_t peaks = td_band_peaks(peak, o->candidates + 1, band, o->half_window);
+    const size_t most = peaks < o->candidates ? peaks : o->candidates;
+    const size_t n = from_peaks(list, peak, most, point, pixel, o->least_zncc);
+    set_runner_up(list, n, peaks > n ? peak[n].score : NAN);
+    *count = refine_all(list, n, left, right, o->half_window);
+    *candidates = list;
+    free(peak);
+    return TD_OK;
 }
 
 td_status td_match_guided(td_match **candidates, size_t *count, const td_pair *pair, const td_image *left,
@@ -80,27 +98,16 @@ td_status td_match_guided(td_match **candidates, size_t *count, const td_pair *p
                           td_error *error)
 {
     const td_match_options o = options ? *options : td_match_options_default();
-    const int pixel[2] = {(int)floor(point[0] + 0.5), (int)floor(point[1] + 0.5)};
-    td_band band;
     TD_TRY(td_match_options_check(&o, error));
     TD_TRY(td_match_images_check(pair, left, right, error));
     TD_TRY(check_point(point, left, o.half_window, error));
-    TD_TRY(search(&band, pair, left, right, pixel, &o, error));
-    td_match *list = malloc((o.candidates + 1) * sizeof *list);
-    td_band_pixel *peak = malloc((o.candidates + 1) * sizeof *peak);
-    if (!list || !peak) {
-        free(list);
-        free(peak);
-        td_band_free(&band);
-        return td_fail(error, TD_ERROR_MEMORY, "no memory for %zu candidates", o.candidates);
-    }
-    const size_t peaks = td_band_peaks(peak, o.candidates + 1, &band, o.half_window);
-    size_t n =
-        from_peaks(list, peak, peaks < o.candidates ? peaks : o.candidates, point, pixel, o.least_zncc);
-    set_runner_up(list, n, peaks > n ? peak[n].score : NAN);
-    *count = refine_all(list, n, left, right, o.half_window);
-    *candidates = list;
-    free(peak);
+    const int pixel[2] = {(int)floor(point[0] + 0.5), (int)floor(point[1] + 0.5)};
+    const window w = {left, right, pixel[0], pixel[1], o.half_window};
+    const td_band_range range = {o.near_m, o.far_m, td_match_band_px(pair, pixel[0], pixel[1], &o)};
+    td_band band;
+    if (!td_band_search(&band, pair, pixel[0], pixel[1], &range, score_window, &w))
+        return td_fail(error, TD_ERROR_MEMORY, "no memory to search along an epipolar curve");
+    const td_status status = rank(candidates, count, &band, left, right, point, pixel, &o, error);
     td_band_free(&band);
-    return TD_OK;
+    return status;
 }
