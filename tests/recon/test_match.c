@@ -304,7 +304,8 @@ static void test_repeated_texture(void **state)
     print_message("repeated: %zu points, %zu matches, %zu unseen, %zu ambiguous, %zu one-sided\n",
                   tally.left_points, count, tally.unseen, tally.ambiguous, tally.one_sided);
     assert_true(tally.left_points > 50);
-    assert_true(tally.ambiguous > tally.left_points * 8 / 10);
+    /* unseen: nearer than the window to the edge */
+    assert_true(tally.ambiguous * 10 > (tally.left_points - tally.unseen) * 9);
     assert_true(count < tally.left_points / 20);
     free(match);
     check_ok(td_match_guided(&match, &count, &s.pair, s.left, s.right, inside, &s.options, &error), error);
