@@ -143,5 +143,6 @@ int main(int argc, char **argv)
     bench_next_view(&b);
     bench_tags(&b);
     bench_vehicle(&b);
+    bench_match(&b);
     return 0;
 }

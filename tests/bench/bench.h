@@ -87,6 +87,20 @@ typedef struct bench_tags_view {
 } bench_tags_view;
 void bench_opencv_tags(bench_tags_view *view);
 
+/* bench_match.c */
+void bench_match(const bench *b);
+
+/* bench_match_opencv.cpp: goodFeaturesToTrack in the left image, matchTemplate along the right one's rows
+ * (one row up and down), and back; windows of 2 half_window + 1. */
+typedef struct bench_match_pair {
+    const unsigned char *left, *right; /* (height,width) grey */
+    int width, height, points, half_window, most_disparity;
+    double least_zncc;
+    double *match; /* out (points,4): left x y, right x y, px */
+    int found, matched;
+} bench_match_pair;
+void bench_opencv_match(void *pair);
+
 #ifdef __cplusplus
 }
 #endif
