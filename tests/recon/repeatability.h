@@ -182,26 +182,47 @@ static inline void keep_common(found_points *p, const td_image *own, const td_im
     p->count = kept;
 }
 
-/* Points a (first image) and b (second) are paired nearest first, by tenths of a pixel. */
+typedef struct near_pair {
+    double distance;
+    size_t a, b;
+} near_pair;
+
+static inline int nearer_first(const void *p, const void *q)
+{
+    const near_pair *a = p, *b = q;
+    if (a->distance != b->distance) return a->distance < b->distance ? -1 : 1;
+    return a->a != b->a ? (a->a > b->a) - (a->a < b->a) : (a->b > b->b) - (a->b < b->b);
+}
+
+/* Points a (first image) and b (second) are paired nearest first. */
 static inline double repeatability(found_points *a, found_points *b, const pair_of_views *v)
 {
     double back[9];
-    size_t pairs = 0;
+    size_t pairs = 0, count = 0;
     invert_homography(back, v->h);
     keep_common(a, v->first, v->second, v->h);
     keep_common(b, v->second, v->first, back);
-    for (size_t i = 0; i < a->count; i++) map_point(a->xy[i], v->h, a->xy[i]);
+    enum { NEIGHBOURS = 16 }; /* that keep a pixel's distance and lie within 1.5 px */
+    near_pair *near = malloc((NEIGHBOURS * a->count + 1) * sizeof *near);
+    for (size_t i = 0; i < a->count; i++) {
+        double p[2];
+        map_point(p, v->h, a->xy[i]);
+        for (size_t j = 0; j < b->count; j++) {
+            if (fabs(p[0] - b->xy[j][0]) > NEAR_PX || fabs(p[1] - b->xy[j][1]) > NEAR_PX) continue;
+            const double distance = hypot(p[0] - b->xy[j][0], p[1] - b->xy[j][1]);
+            if (distance <= NEAR_PX && count < NEIGHBOURS * a->count)
+                near[count++] = (near_pair){distance, i, j};
+        }
+    }
+    qsort(near, count, sizeof *near, nearer_first);
     char *used = calloc(a->count + b->count + 1, 1);
-    for (int tenth = 1; tenth <= 15; tenth++)
-        for (size_t i = 0; i < a->count; i++)
-            for (size_t j = 0; j < b->count && !used[i]; j++) {
-                double reach = NEAR_PX * tenth / 15;
-                if (used[a->count + j] || fabs(a->xy[i][0] - b->xy[j][0]) > reach) continue;
-                if (hypot(a->xy[i][0] - b->xy[j][0], a->xy[i][1] - b->xy[j][1]) > reach) continue;
-                used[i] = used[a->count + j] = 1;
-                pairs++;
-            }
+    for (size_t i = 0; i < count; i++) {
+        if (used[near[i].a] || used[a->count + near[i].b]) continue;
+        used[near[i].a] = used[a->count + near[i].b] = 1;
+        pairs++;
+    }
     free(used);
+    free(near);
     size_t least = a->count < b->count ? a->count : b->count;
     return least ? (double)pairs / (double)least : 0;
 }
