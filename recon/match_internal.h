@@ -10,35 +10,57 @@
 bool td_match_refine_correlated(td_match *match, double *correlation, const td_image *left,
                                 const td_image *right, int half_window);
 
-/* An image made ready for ZNCC of whole pixels: numerator and deviations from exact sums, so that the value
- * is td_zncc's to rounding. */
+/* An image made ready for ZNCC of whole pixels: products and deviations are exact sums, so that the value is
+ * td_zncc's to rounding. */
 typedef struct td_zncc_plane {
     int width, height, k;
-    int16_t *grey;  /* (height,width), and `k`'s padding at the end */
+    int16_t *grey;  /* (height,width), and zeros to read on past the end */
     int32_t *sum;   /* (height,width) over the window around each pixel */
     double *factor; /* (height,width) 1/sqrt(n sum of squares - sum^2); 0 at the edge and in flat windows */
 } td_zncc_plane;
 td_status td_zncc_plane_new(td_zncc_plane **plane, const td_image *image, int k, td_error *error);
 void td_zncc_plane_free(td_zncc_plane **plane);
-/* ZNCC, NaN where undefined; both planes have the same k. */
-double td_zncc_plane_at(const td_zncc_plane *a, int i, int j, const td_zncc_plane *b, int l, int m);
 
-/* ZNCC of one left pixel with every right pixel of the band around its epipolar curve. */
+/* One left window, to be compared with many right ones by the plane's sums. */
+typedef struct td_zncc_window {
+    const td_zncc_plane *plane; /* the right image's */
+    int16_t *grey;              /* (side,stride), rows padded with zeros */
+    int side, stride;
+    double sum, factor;
+} td_zncc_window;
+/* factor 0: flat, or over the edge. False: out of memory. */
+bool td_zncc_window_cut(td_zncc_window *window, const td_zncc_plane *left, int i, int j,
+                        const td_zncc_plane *right);
+void td_zncc_window_free(td_zncc_window *window);
+/* ZNCC of a td_zncc_window with the pixel (x, y); NaN where undefined. A td_band_score. */
+double td_zncc_window_score(int x, int y, const void *window);
+
+/* ZNCC of one left pixel with every right pixel in the band around its epipolar curve. */
+typedef struct td_band_pixel {
+    int x, y;
+    double score;
+} td_band_pixel;
 typedef struct td_band {
     int x0, y0, width, height; /* px, the box that is stored */
     float *score;              /* (height,width); NaN: not in the band, or undefined */
+    td_band_pixel *pixel;      /* (count) those of the band with a score */
+    size_t count, capacity;
 } td_band;
-/* An empty box where the curve misses the image. near_m and far_m as in td_match_options. */
-td_status td_band_search(td_band *band, const td_pair *pair, const double left[2], const td_zncc_plane *a,
-                         const td_zncc_plane *b, double near_m, double far_m, double band_px,
-                         td_error *error);
+typedef struct td_band_range {
+    double near_m, far_m, band_px; /* as in td_match_options */
+} td_band_range;
+/* The score of a right pixel; NaN: none. */
+typedef double (*td_band_score)(int x, int y, const void *user);
+/* Empty where the curve misses the image. False: out of memory. */
+bool td_band_search(td_band *band, const td_pair *pair, int i, int j, const td_band_range *range,
+                    td_band_score score, const void *user);
 void td_band_free(td_band *band);
 /* Local maxima, best first, none within `distance` (px, the larger of |dx|, |dy|) of a better one; at most
- * `capacity`. peak (capacity,2) px of the right image, score (capacity). */
-size_t td_band_peaks(int (*peak)[2], double *score, size_t capacity, const td_band *band, int distance);
+ * `capacity`. */
+size_t td_band_peaks(td_band_pixel *peak, size_t capacity, const td_band *band, int distance);
 
-/* Half width of the band for this left point: the option, or max(1 px, 3 sigma of the rig's residual). */
-double td_match_band_px(const td_pair *pair, const double left[2], const td_match_options *options);
+/* The option's half width, or max(1 px, 3 sigma of the rig's residual at this left pixel). */
+double td_match_band_px(const td_pair *pair, int i, int j, const td_match_options *options);
 
 /* Sizes and channels of both images. */
 td_status td_match_images_check(const td_pair *pair, const td_image *left, const td_image *right,
