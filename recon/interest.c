@@ -6,15 +6,22 @@
 
 #include "core/parallel.h"
 
-enum { MAX_RADIUS = 48, BAND = 48 /* rows: what one thread works on stays in its cache */ };
-static const double MAX_SIGMA = 16; /* px; three of them are MAX_RADIUS */
+enum {
+    MAX_RADIUS = 48,
+    BAND = 48, /* rows: what one thread works on stays in its cache */
+    CELL = 8   /* px: squares over which contrast is averaged; divides BAND */
+};
+static const double MAX_SIGMA = 16;       /* px; three of them are MAX_RADIUS */
+static const double CONTRAST_SIGMA = 3;   /* cells: the neighbourhood whose contrast counts */
+static const double CONTRAST_FLOOR = 0.2; /* of the image's mean: where nothing is, noise is not raised */
 
 td_interest_options td_interest_options_default(void)
 {
     return (td_interest_options){.count = 500,
                                  .sigma_derivative = 0.7,
-                                 .sigma_integration = 1.2,
+                                 .sigma_integration = 1.4,
                                  .k = 0.06,
+                                 .contrast = 1.5,
                                  .distance_px = 5,
                                  .quality = 1e-4};
 }
@@ -27,6 +34,7 @@ static td_status check_options(const td_interest_options *o, td_error *error)
     } field[] = {{"sigma_derivative", o->sigma_derivative, 0.4, MAX_SIGMA},
                  {"sigma_integration", o->sigma_integration, 0.4, MAX_SIGMA},
                  {"k", o->k, 0.01, 0.24}, /* 1/4: where not even equal eigenvalues make a corner */
+                 {"contrast", o->contrast, 0, 2},
                  {"distance_px", o->distance_px, 0, 1e4},
                  {"quality", o->quality, 0, 1}};
     if (o->count == 0)
@@ -78,7 +86,9 @@ typedef struct response {
     const td_image *image;
     kernel smooth, slope, window;
     float k;
-    float *value; /* (height,width) */
+    float *value;    /* (height,width) */
+    float *contrast; /* (rows,columns) of cells: sums of the squared gradient */
+    int columns, rows;
     bool *failed; /* (bands): out of memory */
 } response;
 
@@ -167,6 +177,18 @@ static void window_row(float *restrict out, float *restrict row, const float *ba
         for (int x = 0; x < width; x++) out[x] += g->tap[i] * (row[x - i] + row[x + i]);
 }
 
+/* Adds a row's squared gradient to its cells, in the order of the pixels. */
+static void add_contrast(const response *r, const float *xx, const float *yy, int y)
+{
+    float *cell = r->contrast + (size_t)(y / CELL) * (size_t)r->columns;
+    for (int c = 0; c < r->columns; c++) {
+        const int end = (c + 1) * CELL < r->image->width ? (c + 1) * CELL : r->image->width;
+        float sum = 0;
+        for (int x = c * CELL; x < end; x++) sum += xx[x] + yy[x];
+        cell[c] += sum;
+    }
+}
+
 static void respond_row(float *restrict value, float *const a[3], int width, float k)
 {
     const float *restrict xx = a[0], *restrict yy = a[1], *restrict xy = a[2];
@@ -195,6 +217,7 @@ static void respond_band(size_t index, void *user)
     for (int y = first; y < last; y++) {
         const size_t at = (size_t)(y - first) * w;
         structure_row(product[0] + at, product[1] + at, product[2] + at, rows, r, y);
+        if (y >= begin && y < end) add_contrast(r, product[0] + at, product[1] + at, y);
     }
     for (int y = begin; y < end; y++) {
         for (int p = 0; p < 3; p++) window_row(a[p], rows[0], product[p], first, last - first, r, y);
@@ -203,23 +226,70 @@ static void respond_band(size_t index, void *user)
     free(memory);
 }
 
-static td_status respond(float *value, const td_image *image, const td_interest_options *o, td_error *error)
+/* Means over the cells of a line, weighted by a Gaussian; beyond the ends is nothing. */
+static void smooth_cells(float *line, size_t stride, int count, float *scratch)
+{
+    const kernel g = gaussian(CONTRAST_SIGMA);
+    for (int i = 0; i < count; i++) {
+        float sum = 0, weight = 0;
+        for (int k = -g.radius; k <= g.radius; k++) {
+            if (i + k < 0 || i + k >= count) continue;
+            sum += g.tap[abs(k)] * line[(size_t)(i + k) * stride];
+            weight += g.tap[abs(k)];
+        }
+        scratch[i] = sum / weight;
+    }
+    for (int i = 0; i < count; i++) line[(size_t)i * stride] = scratch[i];
+}
+
+/* From the cells' sums to what responses are divided by, but for its power. */
+static bool finish_contrast(response *r)
+{
+    const int most = r->columns > r->rows ? r->columns : r->rows;
+    const size_t columns = (size_t)r->columns, cells = columns * (size_t)r->rows;
+    float *scratch = malloc((size_t)most * sizeof *scratch);
+    double total = 0;
+    if (!scratch) return false;
+    for (size_t i = 0; i < cells; i++) {
+        const int x = (int)(i % columns) * CELL, y = (int)(i / columns) * CELL;
+        const int w = r->image->width - x < CELL ? r->image->width - x : CELL;
+        const int h = r->image->height - y < CELL ? r->image->height - y : CELL;
+        total += (double)r->contrast[i];
+        r->contrast[i] /= (float)(w * h);
+    }
+    for (int y = 0; y < r->rows; y++) smooth_cells(r->contrast + (size_t)y * columns, 1, r->columns, scratch);
+    for (int x = 0; x < r->columns; x++) smooth_cells(r->contrast + x, columns, r->rows, scratch);
+    const double mean = total / ((double)r->image->width * r->image->height);
+    for (size_t i = 0; i < cells; i++) r->contrast[i] += (float)(CONTRAST_FLOOR * mean);
+    free(scratch);
+    return true;
+}
+
+static void response_free(response *r)
+{
+    free(r->value);
+    free(r->contrast);
+    free(r->failed);
+}
+
+static bool respond(response *r, const td_image *image, const td_interest_options *o)
 {
     const size_t bands = ((size_t)image->height + BAND - 1) / BAND;
-    response r = {image,
-                  gaussian(o->sigma_derivative),
-                  gaussian_slope(o->sigma_derivative),
-                  gaussian(o->sigma_integration),
-                  (float)o->k,
-                  value,
-                  calloc(bands, sizeof(bool))};
-    bool failed = !r.failed;
-    if (!failed) td_parallel_for(bands, o->threads, respond_band, &r, NULL, NULL);
-    for (size_t i = 0; i < bands && !failed; i++) failed = r.failed[i];
-    free(r.failed);
-    return failed ? td_fail(error, TD_ERROR_MEMORY, "no memory for the response of %d x %d pixels",
-                            image->width, image->height)
-                  : TD_OK;
+    *r = (response){.image = image,
+                    .smooth = gaussian(o->sigma_derivative),
+                    .slope = gaussian_slope(o->sigma_derivative),
+                    .window = gaussian(o->sigma_integration),
+                    .k = (float)o->k,
+                    .columns = (image->width + CELL - 1) / CELL,
+                    .rows = (image->height + CELL - 1) / CELL};
+    r->value = malloc((size_t)image->width * (size_t)image->height * sizeof *r->value);
+    r->contrast = calloc((size_t)r->columns * (size_t)r->rows, sizeof *r->contrast);
+    r->failed = calloc(bands, sizeof *r->failed);
+    if (!r->value || !r->contrast || !r->failed) return false;
+    td_parallel_for(bands, o->threads, respond_band, r, NULL, NULL);
+    for (size_t i = 0; i < bands; i++)
+        if (r->failed[i]) return false;
+    return finish_contrast(r);
 }
 
 /* ---- maxima ---- */
@@ -269,10 +339,25 @@ static bool add_point(points *p, const td_interest_point *point)
     return true;
 }
 
-/* Maxima inside the outermost pixels, whose neighbours are all there. */
-static bool find_maxima(points *p, const float *value, int width, int height, double quality)
+/* Between the centres of the cells, linearly. */
+static double contrast_at(const response *r, double x, double y)
 {
+    const double u = fmin(fmax((x + 0.5) / CELL - 0.5, 0), r->columns - 1);
+    const double v = fmin(fmax((y + 0.5) / CELL - 0.5, 0), r->rows - 1);
+    const int c = (int)u, d = c + 1 < r->columns ? c + 1 : c;
+    const float *a = r->contrast + (size_t)(int)v * (size_t)r->columns;
+    const float *b = (int)v + 1 < r->rows ? a + r->columns : a;
+    const double above = (double)a[c] + (u - c) * (double)(a[d] - a[c]);
+    const double below = (double)b[c] + (u - c) * (double)(b[d] - b[c]);
+    return above + (v - (int)v) * (below - above);
+}
+
+/* Maxima inside the outermost pixels, whose neighbours are all there. */
+static bool find_maxima(points *p, const response *r, double quality, double power)
+{
+    const int width = r->image->width, height = r->image->height;
     const size_t w = (size_t)width;
+    const float *value = r->value;
     float largest = 0;
     for (size_t i = 0; i < w * (size_t)height; i++) largest = value[i] > largest ? value[i] : largest;
     const float least = (float)(quality * (double)largest);
@@ -281,6 +366,7 @@ static bool find_maxima(points *p, const float *value, int width, int height, do
             const float *a = value + (size_t)y * w + x;
             if (!(*a > 0) || *a < least || !is_maximum(a, w)) continue;
             td_interest_point point = refine(value, w, x, y);
+            if (power > 0) point.response *= pow(contrast_at(r, x, y), -power);
             if (!add_point(p, &point)) return false;
         }
     return true;
@@ -454,13 +540,11 @@ td_status td_interest_points(td_interest_point **list, size_t *count, const td_i
         return td_fail(error, TD_ERROR_ARGUMENT,
                        "interest points are found in grey images; this one has %d channels", image->channels);
     points p = {0};
-    float *value = malloc((size_t)image->width * (size_t)image->height * sizeof *value);
-    td_status status = value ? respond(value, image, o, error) : TD_ERROR_MEMORY;
-    if (status == TD_OK && (!find_maxima(&p, value, image->width, image->height, o->quality) ||
-                            !select_points(&p, o, image->width, image->height)))
-        status = TD_ERROR_MEMORY;
-    free(value);
-    if (status != TD_OK) {
+    response r;
+    bool ok = respond(&r, image, o) && find_maxima(&p, &r, o->quality, o->contrast) &&
+              select_points(&p, o, image->width, image->height);
+    response_free(&r);
+    if (!ok) {
         free(p.list);
         return td_fail(error, TD_ERROR_MEMORY, "no memory for the interest points of %d x %d pixels",
                        image->width, image->height);

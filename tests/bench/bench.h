@@ -49,6 +49,8 @@ void bench_charuco(const bench *b);
 
 /* bench_calibrate.c */
 void bench_calibrate(const bench *b);
+/* bench_interest.c */
+void bench_interest(const bench *b);
 /* bench_next_view.c */
 void bench_next_view(const bench *b);
 

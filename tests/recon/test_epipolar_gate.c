@@ -142,9 +142,10 @@ static void test_outliers(void **state)
 {
     (void)state;
     td_rig *rig = make_rig();
-    const scene s = {{0.2 * DEG, -0.15 * DEG, 0.17 * DEG}, 300, 0.4, 0.9};
     double worst = 0;
     for (int i = 0; i < 60; i++) {
+        const double size = i % 2 ? DEG : 15 * DEG; /* 0.3 degrees, and 4.5, which no first step mends */
+        const scene s = {{0.2 * size, -0.15 * size, 0.17 * size}, 300, 0.4, 0.9};
         td_random random = td_random_seed(3, (uint64_t)i);
         const td_epipolar_gate gate = run(rig, &s, &random);
         assert_true(gate.determined);
@@ -153,7 +154,7 @@ static void test_outliers(void **state)
         check_near(gate.corrected_px, NOISE, 0.06);
         check_less(1, gate.rms_px);
     }
-    print_message("0.3 degrees behind 40 %% outliers: worst of 60 at %.2f sigma\n", sqrt(worst));
+    print_message("0.3 and 4.5 degrees behind 40 %% outliers: worst of 60 at %.2f sigma\n", sqrt(worst));
     check_less(worst, 30.66); /* chi-squared, 3 degrees of freedom, 1 in 1e6 */
     td_rig_free(&rig);
 }
@@ -249,12 +250,107 @@ static void test_undetermined(void **state)
     td_rig_free(&rig);
 }
 
+/* ---- a rover's stale pair ---- */
+
+/* A camera of the Ames Stereo Pipeline: Brown's model; C its centre and R its axes, in the world. */
+static bool read_tsai(td_camera *camera, td_pose *world_from_camera, const char *path)
+{
+    static const char *const name[] = {"fu", "fv", "cu", "cv", "k1", "k2", "p1", "p2"};
+    char line[512];
+    double c[3] = {0}, r[9] = {0};
+    int seen = 0;
+    FILE *file = fopen(path, "r");
+    if (!file) return false;
+    *camera = (td_camera){.model = TD_CAMERA_BROWN5, .width = 1024, .height = 768};
+    while (fgets(line, sizeof line, file)) {
+        char *at = strchr(line, '=');
+        if (!at) continue;
+        for (int i = 0; i < 8; i++)
+            if (!strncmp(line, name[i], 2)) camera->parameter[i] = strtod(at + 1, NULL), seen++;
+        double *into = line[0] == 'C' ? c : line[0] == 'R' ? r : NULL;
+        at++;
+        for (int i = 0; into && i < (into == c ? 3 : 9); i++) into[i] = strtod(at, &at), seen++;
+    }
+    fclose(file);
+    *world_from_camera = td_pose_from_rotation(r, c);
+    return seen == 8 + 3 + 9;
+}
+
+static td_rig *read_k10(const char *folder)
+{
+    td_rig *rig = td_rig_new();
+    td_pose world[2];
+    rig->count = 2;
+    for (int i = 0; i < 2; i++) {
+        char path[1024];
+        const char *side = i ? "right" : "left";
+        snprintf(path, sizeof path, "%s/k10/black_%s.tsai", folder, side);
+        snprintf(rig->camera[i].name, TD_NAME_SIZE, "%s", side);
+        if (!read_tsai(&rig->camera[i].camera, world + i, path)) {
+            td_rig_free(&rig);
+            return NULL;
+        }
+    }
+    const td_pose right_from_world = td_pose_inverse(world + 1);
+    rig->camera[0].camera_from_rig = td_pose_identity();
+    rig->camera[1].camera_from_rig = td_pose_compose(&right_from_world, world);
+    return rig;
+}
+
+/* Its rows were 1.2 px apart (median) when this pair was measured with another detector and matcher, on other
+ * points: ours must be of that size. A turn of the right camera explains most of it, but not all: what is
+ * left differs from one part of the image to another, by more than the gate's 0.3 px, so the rig stays
+ * refused. */
+static void test_stale_pair(void **state)
+{
+    (void)state;
+    const char *folder = getenv("TELEDIMOS_DATA");
+    td_rig *rig = folder ? read_k10(folder) : NULL;
+    if (!rig) {
+        print_message("skipped: no k10 below TELEDIMOS_DATA\n");
+        return;
+    }
+    char path[2][1024];
+    td_image *image[2] = {NULL, NULL};
+    td_match *match = NULL;
+    td_match_options options = td_match_options_default();
+    td_match_tally tally;
+    td_epipolar_gate gate;
+    td_pair pair;
+    td_error error;
+    size_t count;
+    for (int i = 0; i < 2; i++) {
+        snprintf(path[i], sizeof path[i], "%s/k10/%s4.png", folder, i ? "right" : "left");
+        check_ok(td_image_read(image + i, path[i], 1, &error), error);
+        rig->camera[i].camera.width = image[i]->width;
+        rig->camera[i].camera.height = image[i]->height;
+    }
+    check_ok(td_pair_init(&pair, rig, 0, 1, &error), error);
+    options.band_px = 8; /* what is looked for lies outside the band of a rig that is right */
+    check_ok(td_match_automatic(&match, &count, &tally, &pair, image[0], image[1], &options, &error), error);
+    check_ok(td_epipolar_gate_check(&gate, &pair, match, count, &error), error);
+    print_message(
+        "k10: %zu of %zu matches, median %.2f px, robust RMS %.2f px, corrected %.2f px by %.3f %.3f "
+        "%.3f +- %.3f %.3f %.3f degrees\n",
+        gate.inliers, gate.matches, gate.median_px, gate.rms_px, gate.corrected_px, gate.rotation[0] / DEG,
+        gate.rotation[1] / DEG, gate.rotation[2] / DEG, sqrt(gate.covariance[0]) / DEG,
+        sqrt(gate.covariance[4]) / DEG, sqrt(gate.covariance[8]) / DEG);
+    assert_true(gate.determined);
+    check_near(fabs(gate.median_px), 1.2, 0.6);
+    check_less(0.3, gate.corrected_px);
+    check_less(gate.corrected_px, gate.rms_px / 2);
+    for (int i = 0; i < 2; i++) td_image_free(image + i);
+    free(match);
+    td_rig_free(&rig);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_derivative),  cmocka_unit_test(test_monte_carlo),
         cmocka_unit_test(test_outliers),    cmocka_unit_test(test_correction),
         cmocka_unit_test(test_never_worse), cmocka_unit_test(test_undetermined),
+        cmocka_unit_test(test_stale_pair),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
