@@ -145,5 +145,6 @@ int main(int argc, char **argv)
     bench_tags(&b);
     bench_vehicle(&b);
     bench_match(&b);
+    bench_tin(&b);
     return 0;
 }
