@@ -11,6 +11,9 @@
 /* A crossing may lie this far outside its patch, in cells: rounding at the seams. */
 static const double SEAM = 1e-9;
 
+/* Where rays that are known to be clear so far begin: squares of 2 x 2 patches. */
+enum { START_LEVEL = 1 };
+
 static const td_span NONE = {INFINITY, -INFINITY};
 
 static inline td_span join(td_span a, td_span b)
@@ -21,9 +24,10 @@ static inline td_span join(td_span a, td_span b)
 static inline td_span patch_span(const td_elevation *map, int i, int j)
 {
     const float *a = map->height + (size_t)j * map->columns + i, *b = a + map->columns;
-    if (isnan(a[0] + a[1] + b[0] + b[1])) return NONE;
-    return (td_span){fminf(fminf(a[0], a[1]), fminf(b[0], b[1])),
-                     fmaxf(fmaxf(a[0], a[1]), fmaxf(b[0], b[1]))};
+    const float sum = a[0] + a[1] + b[0] + b[1];
+    if (sum != sum) return NONE;
+    return join(join((td_span){a[0], a[0]}, (td_span){a[1], a[1]}),
+                join((td_span){b[0], b[0]}, (td_span){b[1], b[1]}));
 }
 
 static td_span span_of(const td_ground_rays *g, int level, int i, int j)
@@ -105,34 +109,31 @@ static inline double line_at(const grid_ray *r, int axis, double line)
     return line * r->scale[axis] + r->shift[axis];
 }
 
-static grid_ray to_grid(const td_elevation *map, const double origin[3], const double ray[3])
+static inline grid_ray to_grid(const td_elevation *map, const double origin[3], const double ray[3])
 {
+    const double scale = 1 / map->cell_m;
     grid_ray r;
     for (int a = 0; a < 2; a++) {
-        r.o[a] = (origin[a] - map->origin[a]) / map->cell_m;
-        r.d[a] = ray[a] / map->cell_m;
+        r.o[a] = (origin[a] - map->origin[a]) * scale;
+        r.d[a] = ray[a] * scale;
         const bool crosses = fabs(r.d[a]) > 1e-300;
         if (!crosses) r.d[a] = 0;
         r.scale[a] = crosses ? 1 / r.d[a] : 0;
-        r.shift[a] = crosses ? -r.o[a] / r.d[a] : INFINITY;
+        r.shift[a] = crosses ? -r.o[a] * r.scale[a] : INFINITY;
     }
     r.o[2] = origin[2];
     r.d[2] = ray[2];
     return r;
 }
 
-/* Cuts [*begin, *end] to where the ray is between low and high along an axis. */
-static bool cut(double *begin, double *end, double origin, double direction, double low, double high)
+/* Cuts [*begin, *end] to where the ray is over the map's patches; false: nowhere. */
+static inline bool cut(double *begin, double *end, const grid_ray *r, int axis, int size)
 {
-    if (fabs(direction) < 1e-300) return origin >= low && origin <= high;
-    double a = (low - origin) / direction, b = (high - origin) / direction;
-    if (a > b) {
-        const double swap = a;
-        a = b;
-        b = swap;
-    }
-    if (a > *begin) *begin = a;
-    if (b < *end) *end = b;
+    if (r->d[axis] == 0) return r->o[axis] >= 0 && r->o[axis] <= size;
+    const double a = line_at(r, axis, 0), b = line_at(r, axis, size);
+    const double enters = a < b ? a : b, leaves = a < b ? b : a;
+    if (enters > *begin) *begin = enters;
+    if (leaves < *end) *end = leaves;
     return *begin <= *end;
 }
 
@@ -184,10 +185,25 @@ static inline void enter(const td_ground_rays *g, const grid_ray *r, int level, 
     }
 }
 
-static double walk(const td_ground_rays *g, const grid_ray *r, double begin, double end)
+/* The square of START_LEVEL below the ray at `begin`, if it is one of the map's; else the only one of the
+ * top. A square too far by rounding does no harm: the ray is inside the map, or well above the ground. */
+static inline int start(const td_ground_rays *g, const grid_ray *r, double begin, bool clear, int at[2])
+{
+    const int *size[2] = {g->width, g->height};
+    at[0] = at[1] = 0;
+    if (!clear || g->levels <= START_LEVEL) return g->levels - 1;
+    for (int a = 0; a < 2; a++) {
+        at[a] = (int)(r->o[a] + begin * r->d[a]) >> START_LEVEL;
+        if (at[a] < 0) at[a] = 0;
+        if (at[a] >= size[a][START_LEVEL]) at[a] = size[a][START_LEVEL] - 1;
+    }
+    return START_LEVEL;
+}
+
+static inline double walk(const td_ground_rays *g, const grid_ray *r, double begin, double end, bool clear)
 {
     const int step[2] = {r->d[0] > 0 ? 1 : -1, r->d[1] > 0 ? 1 : -1};
-    int level = g->levels - 1, at[2] = {0, 0};
+    int at[2], level = start(g, r, begin, clear, at);
     while (begin <= end) {
         const double size = (double)(1 << level);
         const double exit_u = line_at(r, 0, (at[0] + (step[0] > 0)) * size);
@@ -221,17 +237,75 @@ static double walk(const td_ground_rays *g, const grid_ray *r, double begin, dou
 }
 
 double td_ground_rays_cast(const td_ground_rays *ground, const double origin[3], const double ray[3],
-                           double end)
+                           double clear, double end)
 {
     const grid_ray r = to_grid(ground->map, origin, ray);
-    const td_span all = span_of(ground, ground->levels - 1, 0, 0);
-    double begin = 0, stop = end;
-    if (!(all.low <= all.high) || !cut(&begin, &stop, r.o[0], r.d[0], 0, ground->width[0]) ||
-        !cut(&begin, &stop, r.o[1], r.d[1], 0, ground->height[0]) ||
-        !cut(&begin, &stop, r.o[2], r.d[2], all.low - SEAM, all.high + SEAM))
+    double begin = clear, stop = end;
+    if (!cut(&begin, &stop, &r, 0, ground->width[0]) || !cut(&begin, &stop, &r, 1, ground->height[0]))
         return end;
-    const double found = walk(ground, &r, begin, stop);
+    const double found = walk(ground, &r, begin, stop, clear > 0);
     return found < end ? found : end;
+}
+
+/* ---- beams ---- */
+
+/* Rays from one point: lowest and highest components of their directions, in the grid. */
+typedef struct beam {
+    double o[3], low[3], high[3];
+} beam;
+
+/* Highest ground below a part of the beam, from the level where few squares cover it. */
+static float highest_below(const td_ground_rays *g, const beam *b, double begin, double end)
+{
+    int first[2], last[2], level = 0;
+    const int *size[2] = {g->width, g->height};
+    for (int a = 0; a < 2; a++) {
+        const double low = b->o[a] + fmin(b->low[a] * begin, b->low[a] * end);
+        const double high = b->o[a] + fmax(b->high[a] * begin, b->high[a] * end);
+        if (high < 0 || low > size[a][0]) return -INFINITY;
+        first[a] = low > 0 ? (int)low : 0;
+        last[a] = high < size[a][0] - 1 ? (int)high : size[a][0] - 1;
+    }
+    while (level < g->levels - 1 &&
+           ((last[0] >> level) - (first[0] >> level) > 1 || (last[1] >> level) - (first[1] >> level) > 1))
+        level++;
+    float highest = -INFINITY;
+    for (int j = first[1] >> level; j <= last[1] >> level; j++)
+        for (int i = first[0] >> level; i <= last[0] >> level; i++) {
+            const td_span span = span_of(g, level, i, j);
+            if (span.high > highest) highest = span.high;
+        }
+    return highest;
+}
+
+double td_ground_rays_clear(const td_ground_rays *ground, const double origin[3], const double (*ray)[3],
+                            int count)
+{
+    const td_elevation *map = ground->map;
+    const double scale[3] = {1 / map->cell_m, 1 / map->cell_m, 1};
+    beam b = {.low = {INFINITY, INFINITY, INFINITY}, .high = {-INFINITY, -INFINITY, -INFINITY}};
+    for (int a = 0; a < 3; a++) {
+        b.o[a] = (origin[a] - (a < 2 ? map->origin[a] : 0)) * scale[a];
+        for (int i = 0; i < count; i++) {
+            const double d = ray[i][a] * scale[a];
+            if (d < b.low[a]) b.low[a] = d;
+            if (d > b.high[a]) b.high[a] = d;
+        }
+    }
+    /* Parts of the beam, longer while they are clear, shorter where the ground is near. */
+    double clear = 0, step = 16 * map->cell_m;
+    const double shortest = map->cell_m, far = 4 * map->cell_m * (map->columns + map->rows);
+    while (clear < far && step >= shortest) {
+        const double next = clear + step;
+        const double lowest = b.o[2] + fmin(b.low[2] * clear, b.low[2] * next);
+        if (lowest > highest_below(ground, &b, clear, next) + SEAM) {
+            clear = next;
+            step *= 2;
+        } else {
+            step *= 0.5;
+        }
+    }
+    return clear;
 }
 
 /* Slopes at a cell; one-sided beside the edge or a hole. */
@@ -251,19 +325,37 @@ static void slope_at(const td_elevation *map, int i, int j, double slope[2])
     }
 }
 
+/* Sums of the slopes at the four corners of patch (i, j), weighted. */
+static void slope_in(const td_elevation *map, int i, int j, double u, double v, double slope[2])
+{
+    const float *h = map->height + (size_t)j * map->columns + i;
+    const ptrdiff_t row = map->columns;
+    if (i > 0 && j > 0 && i + 2 < map->columns && j + 2 < map->rows) {
+        const double x0 = (1 - u) * (h[1] - h[-1]) + u * (h[2] - h[0]);
+        const double x1 = (1 - u) * (h[row + 1] - h[row - 1]) + u * (h[row + 2] - h[row]);
+        const double y0 = (1 - v) * (h[row] - h[-row]) + v * (h[2 * row] - h[0]);
+        const double y1 = (1 - v) * (h[row + 1] - h[1 - row]) + v * (h[2 * row + 1] - h[1]);
+        slope[0] = 0.5 * ((1 - v) * x0 + v * x1);
+        slope[1] = 0.5 * ((1 - u) * y0 + u * y1);
+        if (slope[0] == slope[0] && slope[1] == slope[1]) return;
+    }
+    slope[0] = slope[1] = 0;
+    for (int k = 0; k < 4; k++) {
+        double corner[2];
+        const double weight = (k & 1 ? u : 1 - u) * (k & 2 ? v : 1 - v);
+        slope_at(map, i + (k & 1), j + (k >> 1), corner);
+        slope[0] += weight * corner[0];
+        slope[1] += weight * corner[1];
+    }
+}
+
 void td_ground_rays_normal(const td_ground_rays *ground, double x, double y, double normal[3])
 {
     const td_elevation *map = ground->map;
     const double u = (x - map->origin[0]) / map->cell_m, v = (y - map->origin[1]) / map->cell_m;
     const int i = clamped((int)u, ground->width[0] - 1), j = clamped((int)v, ground->height[0] - 1);
-    double slope[2] = {0, 0};
-    for (int k = 0; k < 4; k++) {
-        double corner[2];
-        const double weight = (k & 1 ? u - i : 1 - (u - i)) * (k & 2 ? v - j : 1 - (v - j));
-        slope_at(map, i + (k & 1), j + (k >> 1), corner);
-        slope[0] += weight * corner[0];
-        slope[1] += weight * corner[1];
-    }
+    double slope[2];
+    slope_in(map, i, j, u - i, v - j, slope);
     const double scale = 1 / sqrt(slope[0] * slope[0] + slope[1] * slope[1] + map->cell_m * map->cell_m);
     normal[0] = -slope[0] * scale;
     normal[1] = -slope[1] * scale;

@@ -197,7 +197,8 @@ td_status td_stereo_view_rays(const td_view_rays **rays, const td_stereo_view *v
 
 /* ---- rays ---- */
 
-td_hit td_stereo_view_trace(const td_stereo_view *view, const double origin[3], const double ray[3])
+td_hit td_stereo_view_trace(const td_stereo_view *view, const double origin[3], const double ray[3],
+                            double clear)
 {
     td_hit hit = {.distance = INFINITY, .what = TD_SEES_SKY};
     const td_bodies *const lists[] = {&view->fixed, &view->moving};
@@ -212,7 +213,7 @@ td_hit td_stereo_view_trace(const td_stereo_view *view, const double origin[3], 
                                                         : TD_SEES_ROBOT;
     }
     if (!view->has_ground) return hit;
-    const double distance = td_ground_rays_cast(&view->ground, origin, ray, hit.distance);
+    const double distance = td_ground_rays_cast(&view->ground, origin, ray, clear, hit.distance);
     if (distance < hit.distance) hit = (td_hit){.distance = distance, .what = TD_SEES_GROUND};
     return hit;
 }
@@ -220,7 +221,7 @@ td_hit td_stereo_view_trace(const td_stereo_view *view, const double origin[3], 
 double td_stereo_view_cast(const td_stereo_view *view, const double origin[3], const double ray[3],
                            td_view_what *what)
 {
-    const td_hit hit = td_stereo_view_trace(view, origin, ray);
+    const td_hit hit = td_stereo_view_trace(view, origin, ray, 0);
     if (what) *what = hit.what;
     return hit.distance;
 }

@@ -30,10 +30,13 @@ td_status td_ground_rays_new(td_ground_rays *ground, const td_elevation *map, td
 void td_ground_rays_free(td_ground_rays *ground);
 /* Brings the pyramid up to date after these cells have changed. */
 void td_ground_rays_update(td_ground_rays *ground, int column, int row, int columns, int rows);
-/* Distance of the first crossing of the surface in [0, end), from above or below; `end` when there is none.
- */
+/* Distance of the first crossing of the surface in [clear, end), from above or below; `end` when there is
+ * none. Before `clear` the ray is known to meet nothing: 0, or what td_ground_rays_clear says. */
 double td_ground_rays_cast(const td_ground_rays *ground, const double origin[3], const double ray[3],
-                           double end);
+                           double clear, double end);
+/* A distance up to which these rays from one point all stay above the ground; 0: not known. */
+double td_ground_rays_clear(const td_ground_rays *ground, const double origin[3], const double (*ray)[3],
+                            int count);
 /* Unit normal, upwards, above (x, y): of the slopes at the cells, by central differences, interpolated. */
 void td_ground_rays_normal(const td_ground_rays *ground, double x, double y, double normal[3]);
 
@@ -132,7 +135,9 @@ typedef struct td_hit {
     td_view_what what;
     const td_body *body; /* NULL: ground or sky */
 } td_hit;
-td_hit td_stereo_view_trace(const td_stereo_view *view, const double origin[3], const double ray[3]);
+/* `clear` as in td_ground_rays_cast. */
+td_hit td_stereo_view_trace(const td_stereo_view *view, const double origin[3], const double ray[3],
+                            double clear);
 
 enum { TD_SHADE_BLOCK = TD_GRAIN_BLOCK };
 /* A block of rays from one point and what they see. */

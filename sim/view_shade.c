@@ -42,14 +42,14 @@ static float lit(const td_scene *scene, const double normal[3])
     return (float)(scene->ambient + (1 - scene->ambient) * (cosine > 0 ? cosine : 0));
 }
 
-static void look(const td_stereo_view *view, const double origin[3], double spread, int i, td_shaded *s,
-                 block *b)
+static void look(const td_stereo_view *view, const double origin[3], double spread, double clear, int i,
+                 td_shaded *s, block *b)
 {
     const double *ray = s->ray[i];
     b->surface[i] = NULL;
     s->light[i] = SKY;
     s->side[i] = 0;
-    const td_hit hit = ray[0] == ray[0] ? td_stereo_view_trace(view, origin, ray)
+    const td_hit hit = ray[0] == ray[0] ? td_stereo_view_trace(view, origin, ray, clear)
                                         : (td_hit){.distance = INFINITY, .what = TD_SEES_SKY};
     s->what[i] = (uint8_t)hit.what;
     s->distance[i] = (float)hit.distance;
@@ -111,7 +111,10 @@ void td_stereo_view_shade(const td_stereo_view *view, const double origin[3], do
                           td_shaded *shaded)
 {
     block b;
-    for (int i = 0; i < count; i++) look(view, origin, spread, i, shaded, &b);
+    const double clear =
+        view->has_ground ? td_ground_rays_clear(&view->ground, origin, (const double(*)[3])shaded->ray, count)
+                         : 0;
+    for (int i = 0; i < count; i++) look(view, origin, spread, clear, i, shaded, &b);
     for (int i = 0; i < count; i++)
         if (b.surface[i]) add_grain(&b, i, count, shaded->light);
 }
