@@ -212,7 +212,7 @@ static bool encode(unsigned char **bytes, size_t *size, void *made, char reason[
 {
     const raster *r = made;
     /* The nearest cell in the overviews: a mean of provenances is none. */
-    static const char *const options[] = {"COMPRESS=DEFLATE",   "LEVEL=6", "PREDICTOR=YES", "BLOCKSIZE=256",
+    static const char *const options[] = {"COMPRESS=DEFLATE",   "LEVEL=1", "PREDICTOR=YES", "BLOCKSIZE=256",
                                           "RESAMPLING=NEAREST", NULL};
     char name[64];
     snprintf(name, sizeof name, "/vsimem/teledimos-%p.tif", made);
