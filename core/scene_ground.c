@@ -9,7 +9,7 @@
 
 enum { MAX_SIDE = 8192, MAX_CELLS = 1 << 24, MAX_ROCKS = 10000, HILL_OCTAVES = 8 };
 
-static const double FAR_M = 1e5;
+static const double FAR_M = 1e5, DEVIATION = 0.215714;
 
 typedef struct recipe {
     int columns, rows, seed, rock_count;
@@ -36,7 +36,8 @@ static double fade(double t)
     return t * t * t * (t * (t * 6 - 15) + 10);
 }
 
-/* Gradient noise (Perlin 2002) in the plane; its standard deviation is about 0.25. */
+/* Gradient noise (Perlin 2002) in the plane; its standard deviation is 2 sqrt(A B), A and B the integrals of
+ * w^2 and w^2 t^2 over [0, 1], w = 1 - fade(t). */
 static double noise(double x, double y, int seed, int octave)
 {
     const double fx = floor(x), fy = floor(y), u = x - fx, v = y - fy;
@@ -58,7 +59,7 @@ static double hills(const recipe *r, double x, double y)
         sum += amplitude * noise(x / scale + 0.37 * o, y / scale + 0.71 * o, r->seed, o);
         power += amplitude * amplitude;
     }
-    return power > 0 ? r->roughness_m * sum / (0.25 * sqrt(power)) : 0;
+    return power > 0 ? r->roughness_m * sum / (DEVIATION * sqrt(power)) : 0;
 }
 
 static double distance_to_line(const double a[2], const double b[2], double x, double y)
