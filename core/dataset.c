@@ -259,10 +259,12 @@ static td_status parse_description(td_dataset *d, places *p, const td_field *roo
     else if (!(p->root = strdup(d->folder)))
         return out_of_memory(error);
     TD_TRY(td_dataset_parse_arm(&d->arm, root, d->folder, p->root, error));
-    /* Without images neither target nor cameras are needed; boards on an arm have targets of their own. */
-    bool boards = d->arm && d->arm->board_count;
+    /* Without images neither target nor cameras are needed; boards on an arm have targets of their own; what is
+     * calibrated already can be looked at without a target. */
+    bool boards = d->arm && d->arm->board_count, calibrated = td_field_get(root, "rig").value != NULL;
     bool poses_only = td_field_get(root, "target_poses").value || (d->arm && !boards);
-    if (target.value || !(poses_only || boards)) TD_TRY(td_target_parse(&d->target, &target, error));
+    if (target.value || !(poses_only || boards || calibrated))
+        TD_TRY(td_target_parse(&d->target, &target, error));
     if (cameras.value || !poses_only) TD_TRY(parse_cameras(d, &cameras, error));
     TD_TRY(parse_expectation(d, &expect, error));
     const char *table = FRAMES;

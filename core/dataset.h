@@ -18,7 +18,8 @@
  * Of hand-eye sets besides (poses belong to the frames in their order, or by time when both have times):
  *   robot: {poses: poses.csv, convention: auto, inverted: false, length_unit: m, angle_unit: rad,
  *           scalar_first: false}        # base_from_hand; core/robot_poses.h
- *   rig: camera.xml                     # the cameras' calibration in any format of core/rig_formats.h
+ *   rig: camera.xml                     # the cameras' calibration in any format of core/rig_formats.h; with it
+ *                                       # the target may be missing: images of a site
  *   setup: eye-in-hand                  # or eye-to-hand, robot-world
  *   target_poses: {poses: …}            # poses of the target in the rig (rig_from_target) instead of images;
  *                                       # target, cameras and frames.csv are then not needed

@@ -138,6 +138,7 @@ int main(int argc, char **argv)
     td_linalg_single_thread();
     bench_calibrate(&b);
     bench_boards(&b);
+    bench_render(&b);
     bench_charuco(&b);
     bench_hand_eye(&b);
     bench_interest(&b);

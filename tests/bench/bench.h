@@ -53,6 +53,8 @@ void bench_calibrate(const bench *b);
 void bench_interest(const bench *b);
 /* bench_next_view.c */
 void bench_next_view(const bench *b);
+/* bench_render.c */
+void bench_render(const bench *b);
 
 /* bench_opencv.cpp: OpenCV on the same points. n views of (points,2) pixels in each image; outputs RMS (px),
  * baseline (m). */
