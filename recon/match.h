@@ -1,5 +1,5 @@
 /* Matching points of a stereo pair: guided (a person's left points, ranked candidates along the epipolar
- * curve) and automatic (interest points of both images), each refined to a fraction of a pixel. */
+ * curve) and automatic (interest points of the left image), each refined to a fraction of a pixel. */
 #ifndef TELEDIMOS_RECON_MATCH_H
 #define TELEDIMOS_RECON_MATCH_H
 
@@ -30,7 +30,7 @@ typedef struct td_match_options {
     double least_zncc;    /* default 0.7 */
     double uniqueness;    /* runner-up must be below best times this; default 0.95; automatic only */
     size_t candidates;    /* guided: at most, default 8 */
-    td_interest_options interest; /* automatic: default 2000 points in each image */
+    td_interest_options interest; /* automatic: default 2000 points */
     int threads;                  /* 0: one per processor; the result does not depend on it */
     const td_progress *progress;
     const td_log *log;
@@ -45,13 +45,14 @@ TD_API td_status td_match_guided(td_match **candidates, size_t *count, const td_
                                  const td_image *left, const td_image *right, const double point[2],
                                  const td_match_options *options, td_error *error);
 
-/* Why automatic matches are fewer than the points. */
+/* Why automatic matches are fewer than the points. Left interest points are compared with every right pixel
+ * of their band, not with right interest points alone: a point need not be detected twice. */
 typedef struct td_match_tally {
-    size_t left_points, right_points; /* interest points */
-    size_t unseen;                    /* no candidate in the band with enough ZNCC */
-    size_t ambiguous;                 /* runner-up too near */
-    size_t one_sided;                 /* left-right check failed */
-    size_t unrefined;                 /* no sub-pixel solution */
+    size_t left_points; /* interest points */
+    size_t unseen;      /* no place in the band with enough ZNCC, or the window leaves the image */
+    size_t ambiguous;   /* runner-up too near */
+    size_t one_sided;   /* left-right check failed */
+    size_t unrefined;   /* no sub-pixel solution */
 } td_match_tally;
 /* *matches is (count), in the order of the left interest points. TD_OK with none: see `tally`. */
 TD_API td_status td_match_automatic(td_match **matches, size_t *count, td_match_tally *tally,
@@ -59,9 +60,10 @@ TD_API td_status td_match_automatic(td_match **matches, size_t *count, td_match_
                                     const td_match_options *options, td_error *error);
 
 /* Symmetric least-squares matching (Gruen 1985; symmetric as Nehab et al. 2005 ask): both windows are warped
- * by half of the affine difference, gain and offset free. Writes match->right, covariance (inverse normal
- * matrix times the estimated noise of the images, of the two shifts), refined. False, match untouched:
- * diverged, left the window, or texture in one direction only. */
+ * by half of the affine difference, gain and offset free. Writes match->right, covariance, refined. The
+ * covariance is that of the images' noise, estimated from the windows' residuals, through the normal
+ * equations, with what interpolation does to the noise. False, match untouched: diverged, left the window, or
+ * texture in one direction only. */
 TD_API bool td_match_refine(td_match *match, const td_image *left, const td_image *right, int half_window);
 
 #ifdef __cplusplus

@@ -140,7 +140,7 @@ td_status td_match_automatic(td_match **matches, size_t *count, td_match_tally *
                              const td_image *left, const td_image *right, const td_match_options *options,
                              td_error *error)
 {
-    const td_match_options o = options ? *options : td_match_options_default();
+    td_match_options o = options ? *options : td_match_options_default();
     td_match_tally t = {0};
     td_interest_point *point = NULL;
     td_zncc_plane *a = NULL, *b = NULL;
@@ -148,6 +148,7 @@ td_status td_match_automatic(td_match **matches, size_t *count, td_match_tally *
     TD_TRY(td_match_options_check(&o, error));
     TD_TRY(td_match_images_check(pair, left, right, error));
     TD_TRY(td_pair_init(&w.back, pair->rig, pair->right, pair->left, error));
+    o.interest.threads = o.threads;
     td_status status = td_interest_points(&point, &t.left_points, left, &o.interest, error);
     if (status == TD_OK) status = td_zncc_plane_new(&a, left, o.half_window, error);
     if (status == TD_OK) status = td_zncc_plane_new(&b, right, o.half_window, error);

@@ -10,7 +10,8 @@
 enum { MOST_PIECES = 1024 }; /* of a curve: an end for those that have none */
 
 #define PIECE_PX 8.0
-#define RASTER_PX 0.5
+#define ALONG_PX 1.0 /* no pixel of the longer axis is stepped over */
+#define ACROSS_PX 0.5
 
 /* ---- The curve in pieces ---- */
 
@@ -116,7 +117,7 @@ static bool add_pixel(td_band *band, int x, int y, td_band_score score, const vo
 static bool add_piece(td_band *band, const piece *p, double band_px, td_band_score score, const void *user)
 {
     const double dx = p->to[0] - p->from[0], dy = p->to[1] - p->from[1], length = hypot(dx, dy);
-    const int along = (int)ceil(length / RASTER_PX), across = (int)ceil(band_px / RASTER_PX);
+    const int along = (int)ceil(length / ALONG_PX), across = (int)ceil(band_px / ACROSS_PX);
     if (!(length > 0)) return true;
     for (int i = 0; i <= along; i++)
         for (int o = -across; o <= across; o++) {

@@ -4,9 +4,10 @@
  *
  *   e(s) = (1 - q/2) R(c + s + D s/2) - (1 + q/2) L(left + s - D s/2) - o
  *
- * is made small in the least-squares sense over c, D, q (gain) and o (offset). Everything is shared out by
- * halves; the gradient is the mean of both images' (Malis 2004), so that the images' noise, being in gradient
- * and residual alike, cancels in the normal equations' right side.
+ * is made small in the least-squares sense over c, D, q (gain) and o (offset), with Gaussian weights: far
+ * from the middle another surface may be in the window. Everything is shared out by halves; the gradient is
+ * the mean of both images' (Malis 2004), so that the images' noise, being in gradient and residual alike,
+ * cancels in the normal equations' right side.
  *
  * Both images are read through the quintic B-spline, without making it interpolate: it smooths by 0.7 px,
  * lets through less than 1 % of what aliases at 0.3 cycles/px, and the smoothed noise has nearly the same
@@ -14,9 +15,9 @@
  * pixels.
  *
  * Smoothed noise is correlated from sample to sample. The solution is linear in the pixels' noise n: with
- * weights W (samples, pixels), d = H^-1 J^T W n, so its covariance is H^-1 (J^T W)(J^T W)^T H^-1 sigma^2, and
- * the residuals' expected sum of squares is sigma^2 (|W|^2 - tr(H^-1 (J^T W)(J^T W)^T)). Both are evaluated
- * as they stand, by spreading J over the pixels. */
+ * weights W (samples, pixels), J weighted, d = H^-1 J^T W n, so its covariance is H^-1 (J^T W)(J^T W)^T H^-1
+ * sigma^2, and the residuals' expected sum of squares is sigma^2 (|W|^2 - tr(H^-1 (J^T W)(J^T W)^T)). Both
+ * are evaluated as they stand, by spreading J over the pixels. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -27,14 +28,16 @@
 enum {
     TAPS = 6,
     UNKNOWNS = 8, /* c (2), D (2,2), q, o */
-    STEPS = 20,
+    LANES = 8,    /* taps padded with zeros to whole vectors */
+    STEPS = 12,
 };
 
-#define CONVERGED 1e-4    /* px */
+#define CONVERGED 1e-3    /* px */
 #define FURTHEST 2.5      /* px from the start */
 #define LARGEST_SHEAR 0.6 /* of D: more is no longer the same window */
 #define LARGEST_SIGMA 0.5 /* px: one direction is not determined */
 #define QUANTISATION (1. / 12)
+#define TAPER 0.6 /* deviation of the Gaussian weights, half windows */
 /* Of white noise of variance 1 read through the spline: variance of value and of a derivative, and the sum of
  * the squared covariances with all samples one pixel apart in rows and columns. */
 #define VALUE_VARIANCE 0.1552
@@ -50,12 +53,20 @@ typedef struct unknowns {
     double c[2], d[4], q, o;
 } unknowns;
 
+/* What the window can reach of an image, (side,side), and beyond it by the taps' padding. */
+typedef struct patch {
+    const td_image *image;
+    int x, y, side; /* image pixel of the first; px */
+    float *grey;
+} patch;
+
 typedef struct window {
-    const td_image *left, *right;
+    patch left, right;
     double at[2]; /* left pixel */
     int k, side;
     sample *sample;          /* (side,side) */
-    double (*row)[UNKNOWNS]; /* (side*side) J */
+    double (*row)[UNKNOWNS]; /* (side*side) weight times J */
+    double *weight;          /* (side*side) */
     double *e;               /* (side*side) */
     double normal[UNKNOWNS * UNKNOWNS];
 } window;
@@ -78,34 +89,59 @@ static void spline_weights(double w[TAPS], double d[TAPS], double t)
     d[5] = t4 / 24;
 }
 
-/* First of the pixels under the kernel; false where it leaves the image. */
-static bool place(int *first, double *fraction, double x, int size)
+static int reach_of(int k)
 {
-    const double whole = floor(x);
-    if (!(whole >= 2 && whole < size - 3)) return false;
-    *first = (int)whole - 2;
-    *fraction = x - whole;
+    return (int)ceil(k * (1 + LARGEST_SHEAR) + FURTHEST) + TAPS;
+}
+
+static bool cut_patch(patch *p, const td_image *image, const double centre[2], int k)
+{
+    const int reach = reach_of(k), side = 2 * reach + 1;
+    if (!(fabs(centre[0]) < 1e6 && fabs(centre[1]) < 1e6)) return false;
+    *p = (patch){image, (int)floor(centre[0]) - reach, (int)floor(centre[1]) - reach, side, NULL};
+    p->grey = calloc((size_t)side * (size_t)side + LANES, sizeof *p->grey);
+    if (!p->grey) return false;
+    for (int y = 0; y < side; y++)
+        for (int x = 0; x < side; x++) {
+            const int i = p->x + x, j = p->y + y;
+            if (i >= 0 && j >= 0 && i < image->width && j < image->height)
+                p->grey[y * side + x] = image->data[(size_t)j * (size_t)image->width + (size_t)i];
+        }
     return true;
 }
 
-static bool read_image(double *value, double *gx, double *gy, const td_image *image, double x, double y)
+/* First of the patch's pixels under the kernel; false where it leaves image or patch. */
+static bool place(int *first, double *fraction, double x, int size, int origin, int side)
+{
+    const double whole = floor(x);
+    if (!(whole >= 2 && whole < size - 3)) return false;
+    *first = (int)whole - 2 - origin;
+    *fraction = x - whole;
+    return *first >= 0 && *first + TAPS <= side;
+}
+
+static bool read_image(double *value, double *gx, double *gy, const patch *p, double x, double y)
 {
     int i, j;
     double fx, fy, wx[TAPS], wy[TAPS], dx[TAPS], dy[TAPS];
-    if (!place(&i, &fx, x, image->width) || !place(&j, &fy, y, image->height)) return false;
+    float sum[LANES] = {0}, slope[LANES] = {0};
+    if (!place(&i, &fx, x, p->image->width, p->x, p->side) ||
+        !place(&j, &fy, y, p->image->height, p->y, p->side))
+        return false;
     spline_weights(wx, dx, fx);
     spline_weights(wy, dy, fy);
-    double v = 0, vx = 0, vy = 0;
     for (int m = 0; m < TAPS; m++) {
-        const uint8_t *p = image->data + (size_t)(j + m) * (size_t)image->width + i;
-        double sum = 0, slope = 0;
-        for (int n = 0; n < TAPS; n++) {
-            sum += wx[n] * p[n];
-            slope += dx[n] * p[n];
+        const float *row = p->grey + (j + m) * p->side + i, w = (float)wy[m], d = (float)dy[m];
+        for (int n = 0; n < LANES; n++) {
+            sum[n] += w * row[n];
+            slope[n] += d * row[n];
         }
-        v += wy[m] * sum;
-        vx += wy[m] * slope;
-        vy += dy[m] * sum;
+    }
+    double v = 0, vx = 0, vy = 0;
+    for (int n = 0; n < TAPS; n++) {
+        v += wx[n] * (double)sum[n];
+        vx += dx[n] * (double)sum[n];
+        vy += wx[n] * (double)slope[n];
     }
     *value = v;
     *gx = vx;
@@ -130,8 +166,8 @@ static bool read_windows(window *w, const unknowns *p)
         for (int x = -w->k; x <= w->k; x++, s++) {
             double l[2], r[2];
             places(l, r, w, p, x, y);
-            if (!read_image(&s->l, &s->lx, &s->ly, w->left, l[0], l[1]) ||
-                !read_image(&s->r, &s->rx, &s->ry, w->right, r[0], r[1]))
+            if (!read_image(&s->l, &s->lx, &s->ly, &w->left, l[0], l[1]) ||
+                !read_image(&s->r, &s->rx, &s->ry, &w->right, r[0], r[1]))
                 return false;
         }
     return true;
@@ -150,10 +186,10 @@ static void linearise(window *w, const unknowns *p, double side[UNKNOWNS])
             const double gx = (a * s->rx + b * s->lx) / 2, gy = (a * s->ry + b * s->ly) / 2;
             const double j[UNKNOWNS] = {gx, gy, gx * x, gx * y, gy * x, gy * y, -(s->r + s->l) / 2, -1};
             w->e[n] = a * s->r - b * s->l - p->o;
-            memcpy(w->row[n], j, sizeof j);
             for (int i = 0; i < UNKNOWNS; i++) {
-                side[i] += j[i] * w->e[n];
-                for (int k = 0; k <= i; k++) w->normal[i * UNKNOWNS + k] += j[i] * j[k];
+                w->row[n][i] = w->weight[n] * j[i];
+                side[i] += w->row[n][i] * w->e[n];
+                for (int k = 0; k <= i; k++) w->normal[i * UNKNOWNS + k] += w->row[n][i] * j[k];
             }
         }
     for (int i = 0; i < UNKNOWNS; i++)
@@ -240,7 +276,7 @@ static double spread_rows(double *spread, int box, const int corner[2], const wi
                 sx += wx[i] * wx[i];
                 sy += wy[i] * wy[i];
             }
-            squares += sx * sy;
+            squares += w->weight[n] * sx * sy;
             for (int m = 0; m < TAPS; m++)
                 for (int i = 0; i < TAPS; i++) {
                     const int column = (int)ix - 2 + i - corner[0], line = (int)iy - 2 + m - corner[1];
@@ -255,7 +291,7 @@ static double spread_rows(double *spread, int box, const int corner[2], const wi
 static bool noise_normal(double noise[UNKNOWNS * UNKNOWNS], double *squares, const window *w,
                          const unknowns *p)
 {
-    const int reach = (int)ceil(w->k * (1 + LARGEST_SHEAR)) + TAPS, box = 2 * reach + 1;
+    const int reach = reach_of(w->k), box = 2 * reach + 1;
     const size_t cells = (size_t)box * (size_t)box;
     double *spread = malloc(cells * UNKNOWNS * sizeof *spread);
     if (!spread) return false;
@@ -266,11 +302,12 @@ static bool noise_normal(double noise[UNKNOWNS * UNKNOWNS], double *squares, con
         const int corner[2] = {(int)floor(centre[0]) - reach, (int)floor(centre[1]) - reach};
         memset(spread, 0, cells * UNKNOWNS * sizeof *spread);
         *squares += share * share * spread_rows(spread, box, corner, w, p, image == 1);
-        for (size_t c = 0; c < cells; c++)
+        for (size_t c = 0; c < cells; c++) {
+            const double *row = spread + c * UNKNOWNS;
+            if (row[UNKNOWNS - 1] == 0) continue; /* the offset's: no sample reads this pixel */
             for (int i = 0; i < UNKNOWNS; i++)
-                for (int k = 0; k < UNKNOWNS; k++)
-                    noise[i * UNKNOWNS + k] +=
-                        share * share * spread[c * UNKNOWNS + (size_t)i] * spread[c * UNKNOWNS + (size_t)k];
+                for (int k = 0; k < UNKNOWNS; k++) noise[i * UNKNOWNS + k] += share * share * row[i] * row[k];
+        }
     }
     free(spread);
     return true;
@@ -280,11 +317,22 @@ static bool noise_normal(double noise[UNKNOWNS * UNKNOWNS], double *squares, con
 static bool invert_noiseless(double inverse[UNKNOWNS * UNKNOWNS], const window *w, const unknowns *p,
                              double variance)
 {
-    const double a = 1 - p->q / 2, b = 1 + p->q / 2, count = (double)w->side * w->side;
-    const double slope = SLOPE_VARIANCE * variance * (a * a + b * b) / 4 * count;
-    const double moment = slope * w->k * (w->k + 1) / 3; /* times the mean square of a coordinate */
-    const double own[UNKNOWNS] = {
-        slope, slope, moment, moment, moment, moment, VALUE_VARIANCE * variance / 2 * count};
+    const double a = 1 - p->q / 2, b = 1 + p->q / 2, both = (a * a + b * b) / 4;
+    double count = 0, moment[2] = {0, 0};
+    for (int i = 0; i < w->side * w->side; i++) {
+        const int x = i % w->side - w->k, y = i / w->side - w->k;
+        count += w->weight[i];
+        moment[0] += w->weight[i] * x * x;
+        moment[1] += w->weight[i] * y * y;
+    }
+    const double slope = SLOPE_VARIANCE * variance * both;
+    const double own[UNKNOWNS] = {slope * count,
+                                  slope * count,
+                                  slope * moment[0],
+                                  slope * moment[1],
+                                  slope * moment[0],
+                                  slope * moment[1],
+                                  VALUE_VARIANCE * variance / 2 * count};
     double normal[UNKNOWNS * UNKNOWNS];
     memcpy(normal, w->normal, sizeof normal);
     for (int i = 0; i < UNKNOWNS; i++) normal[i * (UNKNOWNS + 1)] -= own[i];
@@ -295,13 +343,16 @@ static bool invert_noiseless(double inverse[UNKNOWNS * UNKNOWNS], const window *
 static bool find_covariance(double covariance[4], const window *w, const unknowns *p,
                             double inverse[UNKNOWNS * UNKNOWNS])
 {
-    double noise[UNKNOWNS * UNKNOWNS], all[UNKNOWNS * UNKNOWNS], weights, sum = 0, taken = 0;
+    double noise[UNKNOWNS * UNKNOWNS], all[UNKNOWNS * UNKNOWNS], weights, sum = 0, squares = 0, taken = 0;
     const double a = 1 - p->q / 2, b = 1 + p->q / 2, both = a * a + b * b;
     if (!noise_normal(noise, &weights, w, p)) return false;
     for (int i = 0; i < UNKNOWNS * UNKNOWNS; i++) taken += inverse[i] * noise[i];
-    for (int i = 0; i < w->side * w->side; i++) sum += w->e[i] * w->e[i];
+    for (int i = 0; i < w->side * w->side; i++) {
+        sum += w->weight[i] * w->e[i] * w->e[i];
+        squares += w->weight[i] * w->weight[i];
+    }
     const double redundancy = weights - taken;
-    const double freedom = redundancy * redundancy / (SUM_OF_SQUARES * both * both * w->side * w->side);
+    const double freedom = redundancy * redundancy / (SUM_OF_SQUARES * both * both * squares);
     if (!(freedom > 4)) return false;
     const double variance = fmax(sum / redundancy, QUANTISATION);
     if (!invert_noiseless(inverse, w, p, variance) ||
@@ -340,22 +391,32 @@ bool td_match_refine_correlated(td_match *match, double *correlation, const td_i
     const size_t count = (size_t)side * (size_t)side;
     double inverse[UNKNOWNS * UNKNOWNS], covariance[4];
     unknowns p = {{match->right[0], match->right[1]}, {0}, 0, 0};
-    window w = {left, right, {match->left[0], match->left[1]}, half_window, side, NULL, NULL, NULL, {0}};
+    window w = {.at = {match->left[0], match->left[1]}, .k = half_window, .side = side};
     if (half_window < 1 || left->channels != 1 || right->channels != 1) return false;
     w.sample = malloc(count * sizeof *w.sample);
     w.row = malloc(count * sizeof *w.row);
     w.e = malloc(count * sizeof *w.e);
-    const bool found =
-        w.sample && w.row && w.e && iterate(&w, &p, inverse) && find_covariance(covariance, &w, &p, inverse);
+    w.weight = malloc(count * sizeof *w.weight);
+    for (int i = 0; w.weight && i < side * side; i++) {
+        const int x = i % side - half_window, y = i / side - half_window;
+        w.weight[i] = exp(-(x * x + y * y) / (2 * TAPER * TAPER * half_window * half_window));
+    }
+    const bool found = w.sample && w.row && w.e && w.weight &&
+                       cut_patch(&w.left, left, match->left, half_window) &&
+                       cut_patch(&w.right, right, match->right, half_window) && iterate(&w, &p, inverse) &&
+                       find_covariance(covariance, &w, &p, inverse);
     if (found) {
         memcpy(match->right, p.c, sizeof p.c);
         memcpy(match->covariance, covariance, sizeof covariance);
         match->refined = true;
         if (correlation) *correlation = window_correlation(&w);
     }
+    free(w.left.grey);
+    free(w.right.grey);
     free(w.sample);
     free(w.row);
     free(w.e);
+    free(w.weight);
     return found;
 }
 
