@@ -147,7 +147,10 @@ static void test_written_and_read(void **state)
     td_error error = {0};
     char *path = td_path_join(*state, "map.tif"), *again = td_path_join(*state, "again.tif");
     td_elevation *map = sample_map(), *back = NULL;
-    map->origin[0] = 1. / 3; /* no binary fraction: half a cell to and fro would move it */
+    /* No binary fractions: half a cell to and fro would move them. */
+    map->cell_m = 0.07;
+    map->origin[0] = 1. / 3;
+    map->origin[1] = 700. / 3;
     check_ok(td_elevation_write(map, path, &error), error);
     check_ok(td_elevation_write(map, again, &error), error);
     char *bytes[2];

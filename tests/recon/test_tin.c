@@ -275,6 +275,34 @@ static void test_planes(void **state)
     free(t);
 }
 
+/* A cell's centre on the side of two triangles, but for rounding: one of them has it. */
+static void test_common_sides(void **state)
+{
+    (void)state;
+    td_random random = td_random_seed(9, 1);
+    td_error error = {0};
+    td_elevation *map = NULL;
+    const double origin[2] = {0, 0};
+    const uint32_t t[2][3] = {{0, 1, 2}, {3, 1, 0}};
+    for (int i = 0; i < 5000; i++) {
+        double xyz[4][3] = {{0}};
+        const double angle = 6.28 * td_random_uniform(&random), length = 0.1 + td_random_uniform(&random);
+        check_ok(td_elevation_new(&map, 3, 3, 0.1 + td_random_uniform(&random), origin, "site", &error),
+                 error);
+        const double centre[2] = {map->cell_m, map->cell_m};
+        for (int k = 0; k < 2; k++) {
+            const double along = k ? sin(angle) : cos(angle), across = k ? cos(angle) : -sin(angle);
+            xyz[0][k] = centre[k] - 0.7 * length * along;
+            xyz[1][k] = centre[k] + length * along;
+            xyz[2][k] = centre[k] + across;
+            xyz[3][k] = centre[k] - across;
+        }
+        check_ok(td_tin_grid(map, (const double(*)[3])xyz, 4, t, 2, NULL, NULL, 0, &error), error);
+        assert_false(isnan(map->height[4]));
+        td_elevation_free(&map);
+    }
+}
+
 static void test_long_sides(void **state)
 {
     (void)state;
@@ -357,10 +385,15 @@ static void test_joint_sigma(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_random_points), cmocka_unit_test(test_grid_points),
-        cmocka_unit_test(test_duplicates),    cmocka_unit_test(test_refused),
-        cmocka_unit_test(test_many),          cmocka_unit_test(test_planes),
-        cmocka_unit_test(test_long_sides),    cmocka_unit_test(test_independent_sigma),
+        cmocka_unit_test(test_random_points),
+        cmocka_unit_test(test_grid_points),
+        cmocka_unit_test(test_duplicates),
+        cmocka_unit_test(test_refused),
+        cmocka_unit_test(test_many),
+        cmocka_unit_test(test_planes),
+        cmocka_unit_test(test_common_sides),
+        cmocka_unit_test(test_long_sides),
+        cmocka_unit_test(test_independent_sigma),
         cmocka_unit_test(test_joint_sigma),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -205,6 +205,14 @@ static void test_far_pairs(void **state)
         check_ok(td_null_vector(epipole, &ratio, f, 3, 3, &error), error);
         check_less(cost, searched_cost(f, left, right, 1e4) + 1e-6);
     }
+    /* With a = 1, b = c = 0, d = 10, f = 10, f' = 0.1 the cost falls towards t = infinity: 1/f^2. */
+    const double g[9] = {10, 0, -1, 0, 1, 0, -100, 0, 10}, origin[2] = {0, 0};
+    double ends[2][2];
+    td_hartley_sturm(ends[0], ends[1], g, origin, origin);
+    check_near(ends[0][0], 0.1, 1e-12);
+    check_near(ends[0][1], 0, 1e-12);
+    check_near(ends[1][0], 0, 1e-12);
+    check_near(ends[1][1], 0, 1e-12);
     /* A point on its own epipole satisfies the constraint with anything. */
     const double f[9] = {0, -1, 0, 1, 0, -5, 0, 0, 0}, at[2] = {5, 0}, other[2] = {3, 4};
     double lc[2], rc[2];
