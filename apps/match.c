@@ -75,7 +75,7 @@ static cli_command command = {
         "usage, 3 the gate refuses the result (--accept).",
     .examples =
         "  teledimos render datasets/site-polyhedra -o site\n"
-        "  teledimos match site/images/left-0.png site/images/right-0.png --rig site/rig.yaml -o points\n",
+        "  teledimos match site/left/01.png site/right/01.png --rig site/rig.yaml -o points\n",
     .option = options,
     .option_count = sizeof options / sizeof *options,
     .least = 0,

@@ -40,7 +40,6 @@ const td_schema_row match_schema[] = {
     {"epipolar.applied", TD_SCHEMA_BOOL, true, false, "whether the points below are with the turned camera"},
     {"tally", TD_SCHEMA_OBJECT, false, false, "what became of the interest points (automatic)"},
     {"tally.left_points", TD_SCHEMA_INT, true, false, "interest points of the left image"},
-    {"tally.right_points", TD_SCHEMA_INT, true, false, "of the right image"},
     {"tally.unseen", TD_SCHEMA_INT, true, false, "no place in the band looks alike"},
     {"tally.ambiguous", TD_SCHEMA_INT, true, false, "two places look alike"},
     {"tally.one_sided", TD_SCHEMA_INT, true, false, "the way back leads elsewhere"},
@@ -184,7 +183,6 @@ static json_t *tally_json(const td_match_tally *t)
 {
     json_t *o = json_object();
     set(o, "left_points", json_integer((json_int_t)t->left_points));
-    set(o, "right_points", json_integer((json_int_t)t->right_points));
     set(o, "unseen", json_integer((json_int_t)t->unseen));
     set(o, "ambiguous", json_integer((json_int_t)t->ambiguous));
     set(o, "one_sided", json_integer((json_int_t)t->one_sided));
