@@ -4,8 +4,9 @@
  * the frame named `frame` (z up): rows go to the left of a vehicle, or north. Arrays are (rows, columns),
  * row-major. A cell without a height is NaN there, 0 in `count`, and TD_CELL_UNKNOWN.
  *
- * File: GeoTIFF with five bands (height, sigma, count, provenance, time), through GDAL, which is opened only
- * when a map is read or written (libteledimos_core_raster). */
+ * File: cloud-optimised GeoTIFF, north up, with five bands told by their descriptions (height, sigma, count,
+ * provenance, time; all double, as a TIFF has one type for all; nodata NaN), through GDAL, which is opened
+ * only when a map is read or written (libteledimos_core_raster). */
 #ifndef TELEDIMOS_CORE_ELEVATION_H
 #define TELEDIMOS_CORE_ELEVATION_H
 
@@ -54,7 +55,7 @@ TD_API double td_elevation_at(const td_elevation *map, double x, double y, doubl
 
 /* GeoTIFF, whole or not at all. A foreign GeoTIFF of one band is a height map whose sigma is unknown; its
  * nodata value and NaN are unknown cells. Refused, naming it: rotated or sheared grids, cells that are not
- * square, sizes too large, damaged files. */
+ * square, coordinates in degrees or feet, sizes too large, damaged files. */
 TD_API td_status td_elevation_read(td_elevation **map, const char *path, td_error *error);
 TD_API td_status td_elevation_write(const td_elevation *map, const char *path, td_error *error);
 
