@@ -14,7 +14,7 @@ static cli_common common;
 static cli_list gates;
 static bool accept, automatic, correct;
 static int count = 2000, half_window = 7, candidates = 8;
-static double near_m = 0.5, far_m = 0, band_px = 0, zncc = 0.7, cell_m = 0, longest_m = 0;
+static double near_m = 0.5, far_m = 0, band_px = 0, zncc = 0, sigma_px = 0.1, cell_m = 0, longest_m = 0;
 
 static cli_option options[] = {
     {CLI_STRING, "rig", 0, &rig_path, "FILE",
@@ -40,7 +40,9 @@ static cli_option options[] = {
     {CLI_REAL, "band", 0, &band_px, "PX",
      "half width of the band around the epipolar curve; default 0: 3 sigma of the rig's, at least 1 px", 0,
      100, NULL},
-    {CLI_REAL, "zncc", 0, &zncc, "Z", "least correlation; default 0.7", -1, 1, NULL},
+    {CLI_REAL, "zncc", 0, &zncc, "Z", "least correlation; default 0.7, guided 0.5", -1, 1, NULL},
+    {CLI_REAL, "sigma", 0, &sigma_px, "PX",
+     "automatic: leave out matches less sure than this; default 0.1; 0: none", 0, 10, NULL},
     {.type = CLI_HEADING, .name = "The map"},
     {CLI_REAL, "cell", 0, &cell_m, "M", "side of its cells; default 0: a fifth of the points' spacing", 0,
      1e3, NULL},
@@ -73,9 +75,8 @@ static cli_command command = {
         "and the turn of the right camera that explains it is offered. Exit status: 0 done, 1 failed, 2 "
         "wrong "
         "usage, 3 the gate refuses the result (--accept).",
-    .examples =
-        "  teledimos render datasets/site-polyhedra -o site\n"
-        "  teledimos match site/left/01.png site/right/01.png --rig site/rig.yaml -o points\n",
+    .examples = "  teledimos render datasets/site-polyhedra -o site\n"
+                "  teledimos match site/left/01.png site/right/01.png --rig site/rig.yaml -o points\n",
     .option = options,
     .option_count = sizeof options / sizeof *options,
     .least = 0,
@@ -320,7 +321,8 @@ int main(int argc, char **argv)
     m.options.near_m = near_m;
     m.options.far_m = far_m > 0 ? far_m : INFINITY;
     m.options.band_px = band_px;
-    m.options.least_zncc = zncc;
+    m.options.least_zncc = zncc != 0 ? zncc : points_path ? 0.5 : 0.7;
+    m.options.most_sigma_px = sigma_px;
     m.options.candidates = (size_t)candidates;
     m.options.interest.count = (size_t)count;
     m.options.threads = common.threads;

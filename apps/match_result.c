@@ -44,6 +44,7 @@ const td_schema_row match_schema[] = {
     {"tally.ambiguous", TD_SCHEMA_INT, true, false, "two places look alike"},
     {"tally.one_sided", TD_SCHEMA_INT, true, false, "the way back leads elsewhere"},
     {"tally.unrefined", TD_SCHEMA_INT, true, false, "no sub-pixel solution"},
+    {"tally.unsure", TD_SCHEMA_INT, true, false, "a sigma above --sigma"},
     {"points", TD_SCHEMA_INT, true, false, "left points: given, or matched"},
     {"matched", TD_SCHEMA_INT, true, false, "of them with a match that is a point in space"},
     {"frame", TD_SCHEMA_STRING, true, false,
@@ -187,6 +188,7 @@ static json_t *tally_json(const td_match_tally *t)
     set(o, "ambiguous", json_integer((json_int_t)t->ambiguous));
     set(o, "one_sided", json_integer((json_int_t)t->one_sided));
     set(o, "unrefined", json_integer((json_int_t)t->unrefined));
+    set(o, "unsure", json_integer((json_int_t)t->unsure));
     return o;
 }
 
@@ -301,9 +303,9 @@ void match_table(const void *found)
     putchar('\n');
     if (m->mode == MATCH_AUTOMATIC)
         printf("of %zu interest points: %zu unseen on the right, %zu ambiguous, %zu one-sided, %zu not "
-               "refined\n",
+               "refined, %zu unsure\n",
                m->tally.left_points, m->tally.unseen, m->tally.ambiguous, m->tally.one_sided,
-               m->tally.unrefined);
+               m->tally.unrefined, m->tally.unsure);
     if (m->mode == MATCH_GUIDED)
         printf("candidates.csv: leave 1 in `chosen` of the right ones, and give it to --choose\n");
     if (m->map)

@@ -17,6 +17,8 @@ td_match_options td_match_options_default(void)
                           .candidates = 8,
                           .interest = td_interest_options_default()};
     o.interest.count = 2000;
+    o.interest.even = true;
+    o.most_sigma_px = 0.1;
     return o;
 }
 

@@ -30,7 +30,9 @@ typedef struct td_match_options {
     double least_zncc;    /* default 0.7 */
     double uniqueness;    /* runner-up must be below best times this; default 0.95; automatic only */
     size_t candidates;    /* guided: at most, default 8 */
-    td_interest_options interest; /* automatic: default 2000 points */
+    double most_sigma_px; /* automatic: matches less sure than this (sqrt of the covariance's trace) are left
+                             out; default 0.1; 0: none */
+    td_interest_options interest; /* automatic: default 2000 points, evenly spread */
     int threads;                  /* 0: one per processor; the result does not depend on it */
     const td_progress *progress;
     const td_log *log;
@@ -53,6 +55,7 @@ typedef struct td_match_tally {
     size_t ambiguous;   /* runner-up too near */
     size_t one_sided;   /* left-right check failed */
     size_t unrefined;   /* no sub-pixel solution */
+    size_t unsure;      /* a sigma above most_sigma_px */
 } td_match_tally;
 /* *matches is (count), in the order of the left interest points. TD_OK with none: see `tally`. */
 TD_API td_status td_match_automatic(td_match **matches, size_t *count, td_match_tally *tally,

@@ -9,7 +9,7 @@
 
 #define BACK_PX 2 /* a better left place nearer than this is the same one */
 
-typedef enum outcome { MATCHED, UNSEEN, AMBIGUOUS, ONE_SIDED, UNREFINED, NO_MEMORY } outcome;
+typedef enum outcome { MATCHED, UNSEEN, AMBIGUOUS, ONE_SIDED, UNREFINED, UNSURE, NO_MEMORY } outcome;
 
 typedef struct work {
     const td_pair *pair;
@@ -79,7 +79,11 @@ static void match_point(size_t index, void *user)
                         .right = {best.x + p->x - i, best.y + p->y - j},
                         .zncc = best.score,
                         .runner_up = runner_up};
-        if (!td_match_refine(m, w->left, w->right, w->options->half_window)) v = UNREFINED;
+        const double most = w->options->most_sigma_px;
+        if (!td_match_refine(m, w->left, w->right, w->options->half_window))
+            v = UNREFINED;
+        else if (most > 0 && !(sqrt(m->covariance[0] + m->covariance[3]) <= most))
+            v = UNSURE;
     }
     w->verdict[index] = v;
 }
@@ -99,6 +103,7 @@ static td_status collect(td_match *match, size_t *count, td_match_tally *tally, 
     tally->ambiguous = n[AMBIGUOUS];
     tally->one_sided = n[ONE_SIDED];
     tally->unrefined = n[UNREFINED];
+    tally->unsure = n[UNSURE];
     return TD_OK;
 }
 
