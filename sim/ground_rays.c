@@ -11,8 +11,8 @@
 /* A crossing may lie this far outside its patch, in cells: rounding at the seams. */
 static const double SEAM = 1e-9;
 
-/* Where rays that are known to be clear so far begin: squares of 2 x 2 patches. */
-enum { START_LEVEL = 1 };
+/* The level where rays that are known to be clear so far begin. */
+enum { START_LEVEL = 0 };
 
 static const td_span NONE = {INFINITY, -INFINITY};
 
@@ -254,17 +254,28 @@ typedef struct beam {
     double o[3], low[3], high[3];
 } beam;
 
+static inline double least(double a, double b)
+{
+    return a < b ? a : b;
+}
+
+static inline double most(double a, double b)
+{
+    return a > b ? a : b;
+}
+
 /* Highest ground below a part of the beam, from the level where few squares cover it. */
 static float highest_below(const td_ground_rays *g, const beam *b, double begin, double end)
 {
     int first[2], last[2], level = 0;
     const int *size[2] = {g->width, g->height};
     for (int a = 0; a < 2; a++) {
-        const double low = b->o[a] + fmin(b->low[a] * begin, b->low[a] * end);
-        const double high = b->o[a] + fmax(b->high[a] * begin, b->high[a] * end);
+        const double low = b->o[a] + least(b->low[a] * begin, b->low[a] * end);
+        const double high = b->o[a] + most(b->high[a] * begin, b->high[a] * end);
         if (high < 0 || low > size[a][0]) return -INFINITY;
         first[a] = low > 0 ? (int)low : 0;
         last[a] = high < size[a][0] - 1 ? (int)high : size[a][0] - 1;
+        if (first[a] > last[a]) first[a] = last[a];
     }
     while (level < g->levels - 1 &&
            ((last[0] >> level) - (first[0] >> level) > 1 || (last[1] >> level) - (first[1] >> level) > 1))
@@ -278,26 +289,36 @@ static float highest_below(const td_ground_rays *g, const beam *b, double begin,
     return highest;
 }
 
+static beam beam_of(const td_elevation *map, const double origin[3], const double (*ray)[3], int count)
+{
+    const double scale[3] = {1 / map->cell_m, 1 / map->cell_m, 1};
+    beam b;
+    for (int a = 0; a < 3; a++) {
+        double low = INFINITY, high = -INFINITY;
+        for (int i = 0; i < count; i++) {
+            if (ray[i][a] < low) low = ray[i][a];
+            if (ray[i][a] > high) high = ray[i][a];
+        }
+        b.o[a] = (origin[a] - (a < 2 ? map->origin[a] : 0)) * scale[a];
+        b.low[a] = low * scale[a];
+        b.high[a] = high * scale[a];
+    }
+    return b;
+}
+
 double td_ground_rays_clear(const td_ground_rays *ground, const double origin[3], const double (*ray)[3],
-                            int count)
+                            int count, double clear)
 {
     const td_elevation *map = ground->map;
-    const double scale[3] = {1 / map->cell_m, 1 / map->cell_m, 1};
-    beam b = {.low = {INFINITY, INFINITY, INFINITY}, .high = {-INFINITY, -INFINITY, -INFINITY}};
-    for (int a = 0; a < 3; a++) {
-        b.o[a] = (origin[a] - (a < 2 ? map->origin[a] : 0)) * scale[a];
-        for (int i = 0; i < count; i++) {
-            const double d = ray[i][a] * scale[a];
-            if (d < b.low[a]) b.low[a] = d;
-            if (d > b.high[a]) b.high[a] = d;
-        }
-    }
+    const beam b = beam_of(map, origin, ray, count);
+    if (!(b.low[0] <= b.high[0])) return clear;
     /* Parts of the beam, longer while they are clear, shorter where the ground is near. */
-    double clear = 0, step = 16 * map->cell_m;
-    const double shortest = map->cell_m, far = 4 * map->cell_m * (map->columns + map->rows);
+    double step = (clear > 0 ? 2 : 16) * map->cell_m;
+    const double shortest = (clear > 0 ? 0.25 : 1) * map->cell_m;
+    const double far = 4 * map->cell_m * (map->columns + map->rows);
     while (clear < far && step >= shortest) {
         const double next = clear + step;
-        const double lowest = b.o[2] + fmin(b.low[2] * clear, b.low[2] * next);
+        const double lowest = b.o[2] + least(b.low[2] * clear, b.low[2] * next);
         if (lowest > highest_below(ground, &b, clear, next) + SEAM) {
             clear = next;
             step *= 2;

@@ -34,9 +34,10 @@ void td_ground_rays_update(td_ground_rays *ground, int column, int row, int colu
  * none. Before `clear` the ray is known to meet nothing: 0, or what td_ground_rays_clear says. */
 double td_ground_rays_cast(const td_ground_rays *ground, const double origin[3], const double ray[3],
                            double clear, double end);
-/* A distance up to which these rays from one point all stay above the ground; 0: not known. */
+/* A distance, no less than `clear`, up to which these rays from one point all stay above the ground, when
+ * they do up to `clear` (0: not known). The narrower their beam, the nearer the ground it is. */
 double td_ground_rays_clear(const td_ground_rays *ground, const double origin[3], const double (*ray)[3],
-                            int count);
+                            int count, double clear);
 /* Unit normal, upwards, above (x, y): of the slopes at the cells, by central differences, interpolated. */
 void td_ground_rays_normal(const td_ground_rays *ground, double x, double y, double normal[3]);
 

@@ -9,6 +9,9 @@ static const float SKY = 0.8f;
 /* At grazing rays the footprint grows no more than this: the pattern rather turns fine than grey. */
 static const double LEAST_COSINE = 0.25;
 
+/* Rays of a narrow beam. */
+enum { NARROW = 8 };
+
 /* A block on its way: the surfaces' points and how bright they lie. */
 typedef struct block {
     const td_surface *surface[TD_SHADE_BLOCK]; /* NULL: done */
@@ -111,10 +114,16 @@ void td_stereo_view_shade(const td_stereo_view *view, const double origin[3], do
                           td_shaded *shaded)
 {
     block b;
-    const double clear =
-        view->has_ground ? td_ground_rays_clear(&view->ground, origin, (const double(*)[3])shaded->ray, count)
-                         : 0;
-    for (int i = 0; i < count; i++) look(view, origin, spread, clear, i, shaded, &b);
+    double clear = 0, near = 0;
+    const double(*ray)[3] = (const double(*)[3])shaded->ray;
+    if (view->has_ground) near = clear = td_ground_rays_clear(&view->ground, origin, ray, count, 0);
+    for (int i = 0; i < count; i++) {
+        /* Far beams first, then narrow ones the rest of the way. */
+        if (view->has_ground && i % NARROW == 0)
+            near = td_ground_rays_clear(&view->ground, origin, ray + i,
+                                        count - i < NARROW ? count - i : NARROW, clear);
+        look(view, origin, spread, near, i, shaded, &b);
+    }
     for (int i = 0; i < count; i++)
         if (b.surface[i]) add_grain(&b, i, count, shaded->light);
 }

@@ -217,11 +217,12 @@ static void test_block(void **state)
             for (int a = 0; a < 3; a++) length += d[i][a] * d[i][a];
             for (int a = 0; a < 3; a++) d[i][a] /= sqrt(length);
         }
-        const double clear = td_ground_rays_clear(&ground, o, (const double(*)[3])d, 32);
+        const double clear = td_ground_rays_clear(&ground, o, (const double(*)[3])d, 32, 0);
+        const double near = td_ground_rays_clear(&ground, o, (const double(*)[3])d, 4, clear);
         helped += clear > 1;
         for (int i = 0; i < 32; i++) {
             const double alone = td_ground_rays_cast(&ground, o, d[i], 0, INFINITY);
-            const double together = td_ground_rays_cast(&ground, o, d[i], clear, INFINITY);
+            const double together = td_ground_rays_cast(&ground, o, d[i], i < 4 ? near : clear, INFINITY);
             if (isinf(alone))
                 assert_true(isinf(together));
             else
