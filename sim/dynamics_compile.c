@@ -23,7 +23,7 @@ extern char **environ;
 
 /* ---- the compiler ---- */
 
-/* $CC is a program and perhaps arguments, parted by blanks. */
+/* $CC is a program and perhaps arguments, parted by blanks; they come after ours, so that they win. */
 enum { COMPILER_SIZE = 1024, COMPILER_WORDS = 16 };
 
 static td_status run_compiler(const char *source, const char *library, const char *messages, td_error *error)
@@ -40,11 +40,11 @@ static td_status run_compiler(const char *source, const char *library, const cha
         return td_fail(error, TD_ERROR_ARGUMENT,
                        "CC in the environment is too long; name a C compiler there");
     strcpy(words, chosen);
-    for (char *word = strtok_r(words, " \t", &rest); word && count < COMPILER_WORDS;
-         word = strtok_r(NULL, " \t", &rest))
-        argv[count++] = word;
-    if (count == 0) return td_fail(error, TD_ERROR_ARGUMENT, "CC in the environment names no compiler");
+    argv[count] = strtok_r(words, " \t", &rest);
+    if (!argv[count++]) return td_fail(error, TD_ERROR_ARGUMENT, "CC in the environment names no compiler");
     for (int i = 0; i < FLAGS; i++) argv[count++] = flags[i];
+    for (char *word; count <= COMPILER_WORDS + FLAGS && (word = strtok_r(NULL, " \t", &rest));)
+        argv[count++] = word;
     argv[count++] = "-o";
     argv[count++] = library;
     argv[count++] = source;

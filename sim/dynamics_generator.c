@@ -7,7 +7,7 @@
 #include "sim/dynamics_generator_internal.h"
 
 /* Beyond this a compiler takes minutes over a function, and the recursive evaluation is no slower. */
-enum { MOST_FLOPS = 20000 };
+enum { MOST_FLOPS = 8000 };
 
 typedef struct maker {
     const td_tree *tree;

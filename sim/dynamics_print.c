@@ -5,18 +5,57 @@
 #include "core/number.h"
 #include "sim/dynamics_generator_internal.h"
 
+/* Sine and cosine together, without a branch on the angle's quadrant: x = n pi / 2 + r, |r| <= pi / 4, with
+ * pi / 2 in three parts of 33 bits (Cody and Waite 1980), and the best polynomials of their degrees on that
+ * interval (Remez' exchange; relative error 6e-18 and 2e-19 before rounding). Four cost a third of the C
+ * library's, and give the same bytes with every C library. Beyond 1e5 rad that one is asked. */
+static const char TURN_OF[] =
+    "typedef struct turn {\n"
+    "    double s, c;\n"
+    "} turn;\n"
+    "\n"
+    "static inline turn turn_of(double x)\n"
+    "{\n"
+    "    if (!(fabs(x) < 1e5)) return (turn){sin(x), cos(x)};\n"
+    "    const union {\n"
+    "        double number;\n"
+    "        unsigned long long bits;\n"
+    "    } shifted = {x * 0.63661977236758138 + 6755399441055744.0};\n"
+    "    const double n = shifted.number - 6755399441055744.0;\n"
+    "    const double r = x - n * 1.5707963267341256 - n * 6.077100506303966e-11 - n * "
+    "2.0222662487959506e-21;\n"
+    "    const double z = r * r, zz = z * z;\n"
+    "    const double s = r + r * z *\n"
+    "        ((-0.1666666666666664 + z * 0.008333333333323662) +\n"
+    "         zz * ((-0.00019841269830144618 + z * 2.7557313651928634e-06) +\n"
+    "               zz * (-2.5050734582538527e-08 + z * 1.5894711226561679e-10)));\n"
+    "    const double c = 1 - 0.5 * z + zz *\n"
+    "        ((0.04166666666666665 + z * -0.001388888888888284) +\n"
+    "         zz * ((2.4801587294627947e-05 + z * -2.7557315738595897e-07) +\n"
+    "               zz * (2.0875897736341786e-09 + z * -1.1367981761897865e-11)));\n"
+    "    const union {\n"
+    "        double number;\n"
+    "        unsigned long long bits;\n"
+    "    } sine = {s}, cosine = {c};\n"
+    "    const unsigned long long swap = -(shifted.bits & 1), differ = (sine.bits ^ cosine.bits) & swap;\n"
+    "    const union {\n"
+    "        unsigned long long bits;\n"
+    "        double number;\n"
+    "    } to_s = {sine.bits ^ differ ^ (shifted.bits & 2) << 62},\n"
+    "      to_c = {cosine.bits ^ differ ^ ((shifted.bits + 1) & 2) << 62};\n"
+    "    return (turn){to_s.number, to_c.number};\n"
+    "}\n";
+
 void td_print_head(FILE *to, const char *robot, const char *hash, const char *prefix)
 {
     fprintf(to, "/* Dynamics of the robot '");
     for (const char *c = robot; *c; c++) fputc(isalnum((unsigned char)*c) || *c == '-' ? *c : '_', to);
     fprintf(to,
-            "', free base and %s, generated. The signatures are those of\n"
-            " * sim/dynamics.h. Compile with -ffp-contract=off: the same bytes on every machine. */\n"
-            "#include <math.h>\n\n"
-            "typedef struct turn {\n    double s, c;\n} turn;\n\n"
-            "static inline turn turn_of(double x)\n{\n    return (turn){sin(x), cos(x)};\n}\n\n"
+            "' with a free base, generated. The signatures are those of sim/dynamics.h.\n"
+            " * Compile with -ffp-contract=off: the same bytes on every machine. */\n"
+            "#include <math.h>\n\n%s\n"
             "extern const char %s_hash[];\nconst char %s_hash[] = \"%s\";\n",
-            "joints", prefix, prefix, hash);
+            TURN_OF, prefix, prefix, hash);
 }
 
 typedef struct printer {

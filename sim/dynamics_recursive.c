@@ -247,7 +247,7 @@ void td_recursive_mass(double *mass, const td_robot *robot, const double *q)
         double unit[6] = {0}, wrench[6];
         unit[k] = 1;
         accelerate(wrench, c, unit, unit + 3);
-        for (int i = 0; i < 6; i++) mass[i * n + k] = wrench[i];
+        for (int i = 0; i <= k; i++) mass[i * n + k] = mass[k * n + i] = wrench[i];
     }
 }
 

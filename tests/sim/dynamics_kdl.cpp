@@ -38,15 +38,16 @@ KDL::Chain chain_of(const urdf::ModelInterface &model)
     const KDL::Joint::JointType base[6] = {KDL::Joint::TransX, KDL::Joint::TransY, KDL::Joint::TransZ,
                                            KDL::Joint::RotZ,   KDL::Joint::RotY,   KDL::Joint::RotX};
     for (int k = 0; k < 5; k++)
-        chain.addSegment(KDL::Segment(KDL::Joint(base[k]), KDL::Frame::Identity(), KDL::RigidBodyInertia::Zero()));
+        chain.addSegment(
+            KDL::Segment(KDL::Joint(base[k]), KDL::Frame::Identity(), KDL::RigidBodyInertia::Zero()));
     const urdf::Link *link = model.getRoot().get();
     chain.addSegment(KDL::Segment(KDL::Joint(base[5]), KDL::Frame::Identity(), inertia_of(*link)));
     while ((link = moving_child(*link))) {
         const urdf::Joint &joint = *link->parent_joint;
         const KDL::Frame f = frame_of(joint.parent_to_joint_origin_transform);
         const KDL::Vector axis(joint.axis.x, joint.axis.y, joint.axis.z);
-        chain.addSegment(KDL::Segment(KDL::Joint(joint.name, f.p, f.M * axis, KDL::Joint::RotAxis), f,
-                                      inertia_of(*link)));
+        chain.addSegment(
+            KDL::Segment(KDL::Joint(joint.name, f.p, f.M * axis, KDL::Joint::RotAxis), f, inertia_of(*link)));
     }
     return chain;
 }

@@ -1,4 +1,5 @@
-/* KDL's dynamics of the zx200 with its free base emulated by six joints: x, y, z, then turns about z, y, x. */
+/* KDL's dynamics of the zx200 with its free base emulated by six joints: x, y, z, then turns about z, y, x.
+ */
 #ifndef TELEDIMOS_TESTS_DYNAMICS_KDL_H
 #define TELEDIMOS_TESTS_DYNAMICS_KDL_H
 

@@ -55,8 +55,8 @@ static inline td_robot *random_robot(uint64_t seed, robot_kind kind)
         td_robot_link *link = robot->link + index;
         const bool branches = td_random_uniform(&random) < kind.branch;
         const bool aligned = td_random_uniform(&random) < kind.aligned;
-        *link = (td_robot_link){.parent = branches ? (int)td_random_below(&random, (uint32_t)index) : index - 1,
-                                .joint = -1};
+        *link = (td_robot_link){
+            .parent = branches ? (int)td_random_below(&random, (uint32_t)index) : index - 1, .joint = -1};
         snprintf(link->name, sizeof link->name, "link%d", index);
         double xi[6];
         for (int i = 0; i < 6; i++) xi[i] = i < 3 ? (aligned ? 0 : 2 * spread(&random)) : spread(&random);
