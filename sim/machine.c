@@ -1,4 +1,5 @@
 /* The machine as a whole: made, commanded, stepped. */
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -17,7 +18,7 @@ td_machine_options td_machine_options_default(const td_robot *robot)
                             .coriolis = true,
                             .hydraulics = true,
                             .oil_n_m = 1e8,
-                            .oil_s = 5e-3,
+                            .oil_s = 0.01,
                             .valve_s = 0.05,
                             .pump_m3_s = INFINITY,
                             .slip = 5e-3,
@@ -110,7 +111,8 @@ static void make_stops(td_machine *m)
     m->ode.event_count = count;
 }
 
-/* Above 0: past that stop. */
+/* Above 0: past that stop. Never 0: two zeros within rounding of one another would stop the search for roots.
+ */
 static void stop_events(double *g, double t, const double *y, void *machine)
 {
     const td_machine *m = machine;
@@ -120,6 +122,7 @@ static void stop_events(double *g, double t, const double *y, void *machine)
         const td_robot_joint *j = m->robot.joint + m->event_joint[i];
         const double q = y[l.q + m->event_joint[i]];
         g[i] = m->event_upper[i] ? q - j->upper : j->lower - q;
+        if (g[i] == 0) g[i] = DBL_MIN;
     }
 }
 

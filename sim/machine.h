@@ -43,7 +43,7 @@ typedef struct td_machine_options {
     bool hydraulics;          /* false: the joints turn freely, commands are refused */
     double oil_n_m;   /* N/m of each joint's cylinders together (motor: N m/rad); default 1e8, what oil
                          of 1.4 GPa gives in the cylinders of a 20 t excavator */
-    double oil_s;     /* the damper over the spring: losses of flow; default 5e-3 */
+    double oil_s;     /* the damper over the spring: losses of flow; default 0.01 */
     double valve_s;   /* lag; default 0.05 */
     double pump_m3_s; /* all the pumps; default: the largest of the cylinders' limits */
     double viscous[TD_ROBOT_MAX_JOINTS]; /* N m s/rad or N s/m; default: 10 % of effort at the speed limit */
