@@ -19,6 +19,7 @@ static const struct {
     {"match", "points of a stereo pair in metres, guided or automatic"},
     {"rectify", "turn stereo pairs so that rows match rows"},
     {"render", "draw what a rig's cameras see of a scene"},
+    {"simulate", "a machine moved by given commands: motion, forces, sag"},
     {"convert", "turn a rig into the files of another tool, or those into a rig"},
     {"target", "print a calibration target at true scale"},
 };

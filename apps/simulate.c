@@ -1,0 +1,154 @@
+/* teledimos simulate: a machine moved by given commands, or left alone. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "apps/simulate_internal.h"
+#include "core/file.h"
+
+static const char *scenario_path, *method;
+static cli_common common;
+static cli_list gates;
+static bool accept, sweeping, no_coriolis;
+static double duration_s = 0, oil_n_m = 0, relative = 0, period_s = 0, gain_1_s = 0;
+
+static const char *const methods[] = {"auto", "adams", "bdf", NULL};
+
+static cli_option options[] = {
+    {CLI_FLAG, "sweep", 0, &sweeping, NULL,
+     "besides: control period against stability, gain and the oil's stiffness against cost, Coriolis terms "
+     "on "
+     "and off; some thirty runs",
+     0, 0, NULL},
+    {.type = CLI_HEADING, .name = "In place of what the scenario says"},
+    {CLI_REAL, "duration", 0, &duration_s, "S", "simulated time of table and free motions", 1e-3, 1e5, NULL},
+    {CLI_STRING, "method", 0, &method, "NAME", "integrator: auto, adams or bdf", 0, 0, methods},
+    {CLI_REAL, "relative", 0, &relative, "R", "relative tolerance", 1e-13, 0.1, NULL},
+    {CLI_REAL, "oil", 0, &oil_n_m, "N/M", "stiffness of the oil", 1, 1e14, NULL},
+    {CLI_REAL, "period", 0, &period_s, "S", "control period", 1e-4, 1e3, NULL},
+    {CLI_REAL, "gain", 0, &gain_1_s, "K", "gain of the controller, 1/s", 0, 1e6, NULL},
+    {CLI_FLAG, "no-coriolis", 0, &no_coriolis, NULL, "without centrifugal and Coriolis terms", 0, 0, NULL},
+    {.type = CLI_HEADING, .name = "The quality gate"},
+    {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
+    {CLI_FLAG, "accept", 0, &accept, NULL, "end with status 0 even when the gate refuses", 0, 0, NULL},
+    CLI_COMMON_OPTIONS(common, "folder for the products: log.csv, result.yaml, report.html, log.jsonl",
+                       "this job draws none"),
+};
+
+static cli_command command = {
+    .name = "simulate",
+    .summary = "a machine moved by given commands: motion, forces, pressures, sag",
+    .usage = "SCENARIO -o DIR [options]",
+    .text =
+        "Integrates the equations of a machine on its suspension, its joints driven by hydraulic cylinders "
+        "with their limits of pressure and flow. SCENARIO is a folder with scenario.yaml, or the file: the "
+        "robot (URDF, and the YAML beside it for cylinders and suspension), where it starts (settled), how "
+        "long, how it is moved, and how that is integrated.\n\n"
+        "Motions: hold, trapezoid, step, sine, or a table (CSV of time_s and a column a joint: boom_rad_s "
+        "for "
+        "rates, boom_m3_s for flows, boom_n for forces; straight lines between rows). Without a motion and "
+        "with machine: {hydraulics: false} the joints turn freely. control: {gain_1_s, period_s} closes a "
+        "loop "
+        "of positions around a motion of rates.\n\n"
+        "Exit status: 0 done, 1 failed, 2 wrong usage, 3 the gate refuses the result (--accept).",
+    .examples = "  teledimos simulate datasets/zx200-motion -o motion\n"
+                "  teledimos simulate datasets/zx200-motion -o sweeps --sweep\n",
+    .option = options,
+    .option_count = sizeof options / sizeof *options,
+    .least = 0,
+    .most = 1,
+    .positional = &scenario_path,
+};
+
+static const char *gate_help(void)
+{
+    static char text[1600];
+    snprintf(text, sizeof text, "refuse above VALUE; may be repeated. Defaults, and why:");
+    for (size_t i = 0; i < simulate_gate_count; i++) {
+        const gate_row *g = &simulate_gate_defaults[i];
+        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
+                 g->refuse, g->warn, g->why);
+    }
+    return text;
+}
+
+static td_status override(scenario *s, td_error *error)
+{
+    if (duration_s > 0) {
+        if (strcmp(s->motion.kind, "trapezoid") == 0)
+            return td_fail(
+                error, TD_ERROR_ARGUMENT,
+                "--duration: the ramps of a trapezoid end with the scenario's duration_s; change it "
+                "there");
+        s->duration_s = duration_s;
+    }
+    if (s->duration_s / s->log_s > SIMULATE_MAX_ROWS / 4)
+        return td_fail(error, TD_ERROR_ARGUMENT, "--duration %g: more than %d rows of the log, every %g s",
+                       s->duration_s, SIMULATE_MAX_ROWS / 4, s->log_s);
+    if ((period_s > 0 || gain_1_s > 0) && s->motion.command != TD_COMMAND_RATE)
+        return td_fail(error, TD_ERROR_ARGUMENT,
+                       "--period, --gain: a controller goes with a motion of rates");
+    for (int i = 0; method && methods[i]; i++)
+        if (strcmp(method, methods[i]) == 0) s->options.integrator.method = (td_integrator_method)i;
+    if (relative > 0) s->options.integrator.relative = relative;
+    if (oil_n_m > 0) s->options.oil_n_m = oil_n_m;
+    if ((period_s > 0 || gain_1_s > 0) && !(s->period_s > 0)) s->period_s = 0.05, s->gain_1_s = 3;
+    if (period_s > 0) s->period_s = period_s;
+    if (gain_1_s > 0) s->gain_1_s = gain_1_s;
+    if (no_coriolis) s->options.coriolis = false;
+    return TD_OK;
+}
+
+static td_status write_log(const simulate_job *s, job *j)
+{
+    TD_TRY(td_folder_make(common.output, &j->error));
+    char *path = job_path(j, "log.csv");
+    if (!path) return TD_ERROR_MEMORY;
+    td_status status = simulate_log_write(&s->run, &s->scenario, path, &j->error);
+    free(path);
+    return status;
+}
+
+static td_status run(simulate_job *s, job *j)
+{
+    gate_row rows[8];
+    memcpy(rows, simulate_gate_defaults, simulate_gate_count * sizeof *rows);
+    for (size_t i = 0; i < gates.count; i++)
+        TD_TRY(gate_set(rows, simulate_gate_count, gates.value[i], &j->error));
+    TD_TRY(scenario_read(&s->scenario, scenario_path, &j->error));
+    TD_TRY(override(&s->scenario, &j->error));
+    TD_TRY(simulate_run(&s->run, &s->scenario, false, &j->progress, &j->error));
+    if (sweeping) TD_TRY(simulate_sweep(&s->sweep, &s->scenario, &j->progress, &j->error));
+    s->has_sweep = sweeping;
+    simulate_judge(s, rows);
+    if (terminal_interrupted()) return td_fail(&j->error, TD_ERROR_CANCELLED, "interrupted");
+    TD_TRY(write_log(s, j));
+    const job_output output = {simulate_report, simulate_table, s};
+    return job_finish(j, simulate_result(s), &output);
+}
+
+int main(int argc, char **argv)
+{
+    job j;
+    for (size_t i = 0; i < command.option_count; i++)
+        if (options[i].target == &gates) options[i].help = gate_help();
+    int code = job_begin(&j, &command, &common, simulate_schema, simulate_schema_count, true, argc, argv);
+    if (code >= 0) return code;
+    simulate_job *s = calloc(1, sizeof *s);
+    td_status status;
+    if (!s)
+        status = td_fail(&j.error, TD_ERROR_MEMORY, "out of memory");
+    else if (!scenario_path)
+        status = td_fail(&j.error, TD_ERROR_ARGUMENT, "SCENARIO is missing (usage: teledimos %s %s)",
+                         command.name, command.usage);
+    else
+        status = run(s, &j);
+    code = job_end(&j, status, s && s->gate.verdict == VERDICT_REFUSED && !accept);
+    if (s) {
+        scenario_free(&s->scenario);
+        run_free(&s->run);
+    }
+    free(s);
+    return code;
+}
