@@ -110,6 +110,17 @@ static td_status write_log(const simulate_job *s, job *j)
     return status;
 }
 
+/* What the machine refuses is the scenario's fault, not that of the command line. */
+static td_status simulate(simulate_job *s, job *j)
+{
+    td_status status = simulate_run(&s->run, &s->scenario, false, &j->progress, &j->error);
+    if (status == TD_ERROR_ARGUMENT) status = TD_ERROR_DATA;
+    if (status == TD_ERROR_DATA) return td_error_prefix(&j->error, status, "%s", s->scenario.path);
+    if (status == TD_OK && sweeping)
+        status = simulate_sweep(&s->sweep, &s->scenario, &j->progress, &j->error);
+    return status;
+}
+
 static td_status run(simulate_job *s, job *j)
 {
     gate_row rows[8];
@@ -118,8 +129,7 @@ static td_status run(simulate_job *s, job *j)
         TD_TRY(gate_set(rows, simulate_gate_count, gates.value[i], &j->error));
     TD_TRY(scenario_read(&s->scenario, scenario_path, &j->error));
     TD_TRY(override(&s->scenario, &j->error));
-    TD_TRY(simulate_run(&s->run, &s->scenario, false, &j->progress, &j->error));
-    if (sweeping) TD_TRY(simulate_sweep(&s->sweep, &s->scenario, &j->progress, &j->error));
+    TD_TRY(simulate(s, j));
     s->has_sweep = sweeping;
     simulate_judge(s, rows);
     if (terminal_interrupted()) return td_fail(&j->error, TD_ERROR_CANCELLED, "interrupted");

@@ -51,7 +51,8 @@ typedef struct run_result {
 typedef struct sweep_row {
     double period_s, gain_1_s, oil_n_m;
     bool coriolis, stable;
-    double error_rad; /* largest distance from what was wanted, in the second half */
+    double error_rad; /* largest distance from what was wanted, in the motion's time */
+    double swing_rad; /* from end to end, in the last quarter of twice that time */
     double apart_rad; /* largest distance from the motion with Coriolis terms */
     long rates, steps;
     double cpu_share; /* of real time */
@@ -83,6 +84,8 @@ void scenario_free(scenario *s);
 struct td_field;
 td_status motion_read(motion *m, const struct td_field *field, const td_robot *robot, double duration_s,
                       const char *folder, td_error *error);
+/* Nothing is commanded. */
+td_status motion_none(motion *m, const td_robot *robot, td_error *error);
 void motion_free(motion *m);
 /* Value and slope of the commands (n) from `time_s` on, and when the line next bends (INFINITY: never). */
 void motion_at(double *value, double *slope, double *next_s, const motion *m, double time_s, int joints);

@@ -130,12 +130,16 @@ static td_status find_columns(int column[TD_ROBOT_MAX_JOINTS], const td_csv *csv
     }
     for (size_t c = 0; used < csv->columns && c < csv->columns; c++) {
         bool known = (int)c == td_csv_column(csv, "time_s");
-        for (int k = 0; k < robot->joint_count; k++) known = known || column[k] == (int)c;
+        int like = 0; /* the joint that was meant */
+        for (int k = 0; k < robot->joint_count; k++) {
+            known = known || column[k] == (int)c;
+            if (strncmp(csv->cell[c], robot->joint[k].name, strlen(robot->joint[k].name)) == 0) like = k;
+        }
         if (!known)
-            return td_fail(error, TD_ERROR_FORMAT,
-                           "%s: column '%s' is no joint of the robot with the unit of a %s command (%s_%s)",
-                           csv->name, csv->cell[c], commands[kind], robot->joint[0].name,
-                           unit_of(robot, 0, kind));
+            return td_fail(
+                error, TD_ERROR_FORMAT,
+                "%s: column '%s' is no joint of the robot with the unit of a %s command, as %s_%s is",
+                csv->name, csv->cell[c], commands[kind], robot->joint[like].name, unit_of(robot, like, kind));
     }
     return TD_OK;
 }
@@ -205,6 +209,13 @@ td_status motion_read(motion *m, const td_field *field, const td_robot *robot, d
     default:
         return make_rows(m, 1, n, error);
     }
+}
+
+td_status motion_none(motion *m, const td_robot *robot, td_error *error)
+{
+    m->command = TD_COMMAND_RATE;
+    snprintf(m->kind, sizeof m->kind, "free");
+    return make_rows(m, 1, robot->joint_count, error);
 }
 
 /* ---- over time ---- */

@@ -191,9 +191,14 @@ static void event_table(td_report *r, const simulate_job *j)
 
 static void sweep_table(td_report *r, const char *head, const sweep_row *row, size_t count)
 {
-    const char *const heads[] = {
-        head, "stable", "error (mrad)", "calls of the equations", "steps", "share of the processor (%)"};
-    td_report_table_begin(r, heads, 6);
+    const char *const heads[] = {head,
+                                 "stable",
+                                 "error (mrad)",
+                                 "swing (mrad)",
+                                 "calls of the equations",
+                                 "steps",
+                                 "share of the processor (%)"};
+    td_report_table_begin(r, heads, 7);
     for (size_t i = 0; i < count; i++) {
         if (strncmp(head, "control", 7) == 0)
             td_report_cell(r, TD_TONE_PLAIN, "%g", row[i].period_s);
@@ -205,6 +210,7 @@ static void sweep_table(td_report *r, const char *head, const sweep_row *row, si
             td_report_cell(r, TD_TONE_PLAIN, "%s", row[i].coriolis ? "with" : "without");
         td_report_cell(r, row[i].stable ? TD_TONE_GOOD : TD_TONE_BAD, "%s", row[i].stable ? "yes" : "no");
         td_report_cell(r, TD_TONE_PLAIN, "%.2f", 1e3 * row[i].error_rad);
+        td_report_cell(r, TD_TONE_PLAIN, "%.3f", 1e3 * row[i].swing_rad);
         td_report_cell(r, TD_TONE_PLAIN, "%ld", row[i].rates);
         td_report_cell(r, TD_TONE_PLAIN, "%ld", row[i].steps);
         td_report_cell(r, TD_TONE_PLAIN, "%.3f", 100 * row[i].cpu_share);
@@ -216,9 +222,9 @@ static void sweep_table(td_report *r, const char *head, const sweep_row *row, si
 static void sweeps(td_report *r, const sweep *w)
 {
     td_report_heading(r, "Control period: where the loop loses its stability");
-    td_report_text(
-        r, "Positions controlled at that period with the scenario's gain. Stable: in the second half no "
-           "joint is further than 0.1 rad from what was wanted.");
+    td_report_text(r, "Positions controlled at that period. Each run is the motion and as long again of "
+                      "calming down: stable where what swings in its last quarter is less than half of the "
+                      "quarter before, or below 2 mrad.");
     sweep_table(r, "control period (s)", w->period, w->period_count);
     td_report_heading(r, "Gain of the controller: what it costs");
     sweep_table(r, "gain (1/s)", w->gain, w->gain_count);

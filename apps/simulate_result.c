@@ -27,8 +27,10 @@ const size_t simulate_gate_count = sizeof simulate_gate_defaults / sizeof *simul
         {path "[].gain_1_s", TD_SCHEMA_REAL, true, false, "gain of the controller"},                         \
         {path "[].oil_n_m", TD_SCHEMA_REAL, true, false, "stiffness of the oil"},                            \
         {path "[].coriolis", TD_SCHEMA_BOOL, true, false, "with centrifugal and Coriolis terms"},            \
-        {path "[].stable", TD_SCHEMA_BOOL, true, false, "followed to 0.1 rad in the second half"},           \
-        {path "[].error_rad", TD_SCHEMA_REAL, true, true, "largest distance there (prismatic: m)"},          \
+        {path "[].stable", TD_SCHEMA_BOOL, true, false, "after the motion its swinging dies away"},          \
+        {path "[].error_rad", TD_SCHEMA_REAL, true, true,                                                    \
+         "largest distance from what was wanted (prismatic: m)"},                                            \
+        {path "[].swing_rad", TD_SCHEMA_REAL, true, true, "what still swings long after the motion"},        \
         {path "[].rates", TD_SCHEMA_INT, true, false, "calls of the equations"},                             \
         {path "[].steps", TD_SCHEMA_INT, true, false, "of the integrator"},                                  \
     {                                                                                                        \
@@ -265,6 +267,7 @@ static json_t *rows_json(const sweep_row *row, size_t count)
         set(o, "coriolis", json_boolean(row[i].coriolis));
         set(o, "stable", json_boolean(row[i].stable));
         set(o, "error_rad", td_json_real(row[i].error_rad));
+        set(o, "swing_rad", td_json_real(row[i].swing_rad));
         set(o, "rates", json_integer(row[i].rates));
         set(o, "steps", json_integer(row[i].steps));
         set(o, "cpu_share", td_json_real(row[i].cpu_share));
@@ -320,13 +323,15 @@ json_t *simulate_result(const simulate_job *j)
 
 static void print_sweep(const char *head, const sweep_row *row, size_t count)
 {
-    printf("\n%-22s %8s %10s %8s %8s %8s\n", head, "stable", "error mrad", "rates", "steps", "cpu %");
+    printf("\n%-22s %8s %10s %10s %8s %8s %8s\n", head, "stable", "error mrad", "swing mrad", "rates",
+           "steps", "cpu %");
     for (size_t i = 0; i < count; i++) {
         char name[64];
         snprintf(name, sizeof name, "%g s, K %g, %.0e N/m%s", row[i].period_s, row[i].gain_1_s,
                  row[i].oil_n_m, row[i].coriolis ? "" : " -C");
-        printf("%-22s %8s %10.2f %8ld %8ld %8.3f\n", name, row[i].stable ? "yes" : "NO",
-               1e3 * row[i].error_rad, row[i].rates, row[i].steps, 100 * row[i].cpu_share);
+        printf("%-22s %8s %10.2f %10.3f %8ld %8ld %8.3f\n", name, row[i].stable ? "yes" : "NO",
+               1e3 * row[i].error_rad, 1e3 * row[i].swing_rad, row[i].rates, row[i].steps,
+               100 * row[i].cpu_share);
     }
 }
 

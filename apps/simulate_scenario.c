@@ -178,8 +178,7 @@ static td_status read_all(scenario *s, const td_field *root, const char *folder,
             return td_field_fail(&none, error,
                                  "is missing; without one, machine: {hydraulics: false} lets the "
                                  "joints turn freely");
-        s->motion.command = TD_COMMAND_RATE;
-        snprintf(s->motion.kind, sizeof s->motion.kind, "free");
+        TD_TRY(motion_none(&s->motion, s->robot, error));
     }
     return read_control(s, root, error);
 }

@@ -6,12 +6,12 @@
 
 #include "apps/simulate_internal.h"
 
-/* Errors in the motion's second half above this: it swings instead of following, rad or m. */
-static const double LOST = 0.1;
-static const double PERIODS[] = {0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8};
+/* A swing that stays below this is none, rad or m. */
+static const double STILL = 2e-3;
+static const double PERIODS[] = {0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1, 1.2};
 static const double GAINS[] = {0.5, 1, 2, 3, 5, 8, 12, 20, 30};
 static const double OILS[] = {1e6, 1e7, 1e8, 1e9, 1e10};
-enum { PERIOD_COUNT = 10, GAIN_COUNT = 9, OIL_COUNT = 5 };
+enum { PERIOD_COUNT = 14, GAIN_COUNT = 9, OIL_COUNT = 5 };
 
 static double largest_apart(const run_result *a, const run_result *b, int joints)
 {
@@ -22,32 +22,50 @@ static double largest_apart(const run_result *a, const run_result *b, int joints
     return most;
 }
 
-static double second_half_error(const run_result *r, int joints)
+/* Largest distance from what was wanted in [first, last), and by how much a joint swings about its mean
+ * there.
+ */
+static double swing_of(double *error, const run_result *r, size_t first, size_t last, int joints)
 {
     double most = 0;
-    for (size_t i = r->count / 2; i < r->count; i++)
-        for (int k = 0; k < joints; k++)
-            most = fmax(most, fabs(r->sample[i].state.q[k] - r->sample[i].wanted[k]));
+    *error = 0;
+    for (int k = 0; k < joints; k++) {
+        double low = INFINITY, high = -INFINITY;
+        for (size_t i = first; i < last; i++) {
+            const double off = r->sample[i].state.q[k] - r->sample[i].wanted[k];
+            low = fmin(low, off);
+            high = fmax(high, off);
+            *error = fmax(*error, fabs(off));
+        }
+        most = fmax(most, high - low);
+    }
     return most;
 }
 
-/* What is left when the motion is over and it has had time to calm down tells of stability. */
+/* The motion, and as long again of calming down: stable where what swings in the last quarter is less than
+ * half of the quarter before, or nothing. */
 static td_status one(sweep_row *row, run_result *kept, const scenario *s, const td_progress *progress,
                      td_error *error)
 {
     run_result run;
+    scenario longer = *s;
     const int n = s->robot->joint_count;
+    double after = 0, before = 0;
+    longer.duration_s = 2 * s->duration_s;
     *row = (sweep_row){.period_s = s->period_s,
                        .gain_1_s = s->gain_1_s,
                        .oil_n_m = s->options.oil_n_m,
                        .coriolis = s->options.coriolis};
-    td_status status = simulate_run(&run, s, true, progress, error);
+    td_status status = simulate_run(&run, &longer, true, progress, error);
     if (status == TD_OK) {
-        row->error_rad = second_half_error(&run, n);
-        row->stable = !run.unstable && row->error_rad < LOST;
+        const double third = swing_of(&before, &run, run.count / 2, 3 * run.count / 4, n),
+                     fourth = swing_of(&after, &run, 3 * run.count / 4, run.count, n);
+        row->stable = !run.unstable && (fourth < STILL || fourth < third / 2);
+        row->swing_rad = fourth;
+        swing_of(&row->error_rad, &run, 0, run.count / 2, n);
         row->rates = run.counters.rates;
         row->steps = run.counters.steps;
-        row->cpu_share = run.cpu_s / s->duration_s;
+        row->cpu_share = run.cpu_s / longer.duration_s;
     }
     if (kept && status == TD_OK)
         *kept = run;

@@ -147,6 +147,22 @@ static td_status choose_dynamics(td_machine *m, const char *folder, td_error *er
     return td_dynamics_new(&m->dynamics, &m->robot, error);
 }
 
+/* What a joint moves must have inertia about it, or nothing says how fast a force moves it. */
+static td_status check_inertia(const td_machine *m, const double *q, td_error *error)
+{
+    const int n = m->robot.joint_count, all = 6 + n;
+    double mass[TD_DYNAMICS_MAX * TD_DYNAMICS_MAX];
+    td_dynamics_mass(mass, m->dynamics, q);
+    for (int k = 0; k < n; k++)
+        if (!(mass[(6 + k) * (all + 1)] > 0))
+            return td_fail(
+                error, TD_ERROR_DATA,
+                "machine '%s': link '%s' and what it carries have no inertia about joint '%s'; give "
+                "them an <inertial>",
+                m->robot.name, m->robot.link[m->robot.joint[k].link].name, m->robot.joint[k].name);
+    return TD_OK;
+}
+
 static td_status build(td_machine *m, const char *folder, td_error *error)
 {
     TD_TRY(choose_dynamics(m, folder, error));
@@ -167,6 +183,7 @@ static td_status build(td_machine *m, const char *folder, td_error *error)
     td_plant_state start = {.site_from_vehicle = m->options.site_from_anchor};
     for (int k = 0; k < m->robot.joint_count; k++)
         start.q[k] = fmax(m->robot.joint[k].lower, fmin(m->robot.joint[k].upper, 0));
+    TD_TRY(check_inertia(m, start.q, error));
     td_machine_close(m->y, m, &start);
     TD_TRY(td_integrator_new(&m->integrator, &m->ode, 0, m->y, &m->options.integrator, error));
     return td_machine_settle(m, error);
@@ -232,6 +249,18 @@ static void note_event(td_machine *m, int event, int direction)
                                                     .met = direction > 0};
 }
 
+/* The integrator knows its states by their index: says which one it means. */
+static td_status name_state(const td_machine *m, td_status status, td_error *error)
+{
+    char name[TD_NAME_SIZE + 16];
+    unsigned long index = 0;
+    const char *word = error ? strstr(error->message, "state ") : NULL;
+    if (!word || sscanf(word, "state %lu", &index) != 1 || index >= m->ode.size)
+        return td_error_prefix(error, status, "machine '%s'", m->robot.name);
+    td_machine_state_name(name, m, index);
+    return td_error_prefix(error, status, "machine '%s' (state %lu is the %s)", m->robot.name, index, name);
+}
+
 td_status td_machine_step(td_machine *m, double dt_s, td_error *error)
 {
     if (!(dt_s >= 0) || !isfinite(dt_s))
@@ -245,7 +274,7 @@ td_status td_machine_step(td_machine *m, double dt_s, td_error *error)
         status = td_integrator_advance(m->integrator, end, &event, &direction, error);
         if (status == TD_OK) note_event(m, event, direction);
     }
-    if (status != TD_OK) return td_error_prefix(error, status, "machine '%s'", m->robot.name);
+    if (status != TD_OK) return name_state(m, status, error);
     m->t = end;
     memcpy(m->y, td_integrator_state(m->integrator), m->ode.size * sizeof *m->y);
     return TD_OK;

@@ -1,5 +1,6 @@
 /* Cylinders, motors, valves and pumps: from a command to the forces at the joints. */
 #include <math.h>
+#include <string.h>
 
 #include "sim/machine_internal.h"
 
@@ -183,6 +184,8 @@ void td_hydraulics_rate(double *force_rate, double *valve_rate, double *push, co
 void td_hydraulics_push(double *push, const td_machine *m, double t, const td_machine_view *view)
 {
     double lever[TD_ROBOT_MAX_JOINTS], force_rate[TD_ROBOT_MAX_JOINTS], valve_rate[TD_ROBOT_MAX_JOINTS];
+    memset(push, 0, (size_t)m->robot.joint_count * sizeof *push);
+    if (!m->options.hydraulics) return;
     for (int k = 0; k < m->robot.joint_count; k++)
         if (!td_actuator_lever(lever + k, m, k, view->q[k])) lever[k] = 0;
     td_hydraulics_rate(force_rate, valve_rate, push, m, t, view, lever);

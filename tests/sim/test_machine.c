@@ -452,14 +452,19 @@ static void test_refusals(void **unused)
     td_robot_free(&robot);
 }
 
-static void test_too_heavy(void **unused)
+static void test_mass(void **unused)
 {
     td_robot *robot = zx200();
     td_machine *machine = machine_of(robot, NULL);
     td_error error = {0};
     (void)unused;
-    robot->cylinder[0].pressure_pa = 5e6;
     td_machine *weak = NULL;
+    td_robot light = *robot;
+    light.link[light.joint[BUCKET].link].mass_kg = 0;
+    memset(light.link[light.joint[BUCKET].link].inertia, 0, sizeof light.link[0].inertia);
+    check_fails(td_machine_new(&weak, &light, NULL, NULL, &error), TD_ERROR_DATA, error,
+                "link 'bucket' and what it carries have no inertia about joint 'bucket'");
+    robot->cylinder[0].pressure_pa = 5e6;
     check_fails(td_machine_new(&weak, robot, NULL, NULL, &error), TD_ERROR_DATA, error,
                 "'boom' cannot be held");
     assert_null(weak);
@@ -570,7 +575,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_statics),    cmocka_unit_test(test_sag),      cmocka_unit_test(test_floating),
         cmocka_unit_test(test_springs),    cmocka_unit_test(test_flow),     cmocka_unit_test(test_force),
-        cmocka_unit_test(test_limits),     cmocka_unit_test(test_refusals), cmocka_unit_test(test_too_heavy),
+        cmocka_unit_test(test_limits),     cmocka_unit_test(test_refusals), cmocka_unit_test(test_mass),
         cmocka_unit_test(test_same_again), cmocka_unit_test(test_plant),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
