@@ -172,10 +172,12 @@ static td_status build(td_machine *m, const char *folder, td_error *error)
     const size_t size = (size_t)td_machine_layout_of(m).size;
     m->y = calloc(size, sizeof *m->y);
     m->absolute = calloc(size, sizeof *m->absolute);
-    if (!m->y || !m->absolute)
+    m->rows = calloc((size_t)(6 + m->robot.joint_count) * size, sizeof *m->rows);
+    if (!m->y || !m->absolute || !m->rows)
         return td_fail(error, TD_ERROR_MEMORY, "machine '%s': no memory for its state", m->robot.name);
     m->ode.size = size;
     m->ode.rate = td_machine_rate;
+    m->ode.jacobian = td_machine_jacobian;
     m->ode.events = stop_events;
     m->ode.user = m;
     make_tolerances(m);
@@ -214,6 +216,7 @@ void td_machine_free(td_machine **machine)
     td_dynamics_free(&(*machine)->dynamics);
     free((*machine)->y);
     free((*machine)->absolute);
+    free((*machine)->rows);
     free(*machine);
     *machine = NULL;
 }

@@ -4,12 +4,12 @@
 
 #include "sim/machine_internal.h"
 
-static void cross(double c[3], const double a[3], const double b[3])
+void td_machine_cross(double c[3], const double a[3], const double b[3])
 {
     for (int i = 0; i < 3; i++) c[i] = a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3];
 }
 
-static void turn_back(double in_base[3], const td_pose *site_from_base, const double in_site[3])
+void td_base_from_site(double in_base[3], const td_pose *site_from_base, const double in_site[3])
 {
     const td_pose back = {
         .q = {site_from_base->q[0], -site_from_base->q[1], -site_from_base->q[2], -site_from_base->q[3]}};
@@ -32,13 +32,13 @@ void td_machine_open(td_machine_view *v, const td_machine *m, const double *y)
     memcpy(v->nu + 6, y + l.dq, (size_t)l.n * sizeof *v->nu);
     v->force = y + l.force;
     v->valve = y + l.valve;
-    turn_back(v->gravity, &v->pose, m->options.gravity);
+    td_base_from_site(v->gravity, &v->pose, m->options.gravity);
 }
 
 /* ---- suspension ---- */
 
 /* anchor_from_base, its quaternion on the side of the small turn. */
-static td_pose sag(const td_machine *m, const td_machine_view *v)
+td_pose td_machine_sag(const td_machine *m, const td_machine_view *v)
 {
     const td_pose back = td_pose_inverse(&m->options.site_from_anchor);
     td_pose d = td_pose_compose(&back, &v->pose);
@@ -52,20 +52,20 @@ void td_suspension_wrench(double wrench[6], const td_machine *m, const td_machin
 {
     memset(wrench, 0, 6 * sizeof *wrench);
     if (m->options.base != TD_MACHINE_SUSPENDED) return;
-    const td_pose d = sag(m, v);
+    const td_pose d = td_machine_sag(m, v);
     double bent[3], aside[3], speed[3], push[3];
     for (int i = 0; i < 3; i++) bent[i] = m->spring[i] * d.q[1 + i];
-    cross(aside, bent, d.q + 1);
+    td_machine_cross(aside, bent, d.q + 1);
     for (int i = 0; i < 3; i++) wrench[i] = -2 * (d.q[0] * bent[i] + aside[i]) - m->damper[i] * v->nu[i];
     td_pose_rotate(speed, &d, v->nu + 3);
     for (int i = 0; i < 3; i++) push[i] = -m->spring[3 + i] * d.t[i] - m->damper[3 + i] * speed[i];
-    turn_back(wrench + 3, &d, push);
+    td_base_from_site(wrench + 3, &d, push);
 }
 
 double td_suspension_energy(const td_machine *m, const td_machine_view *v)
 {
     if (m->options.base != TD_MACHINE_SUSPENDED) return 0;
-    const td_pose d = sag(m, v);
+    const td_pose d = td_machine_sag(m, v);
     double energy = 0;
     for (int i = 0; i < 3; i++)
         energy += 2 * m->spring[i] * d.q[1 + i] * d.q[1 + i] + m->spring[3 + i] * d.t[i] * d.t[i] / 2;
@@ -81,17 +81,18 @@ static double beyond(const td_machine *m, int joint, double q)
     return q > j->upper ? q - j->upper : q < j->lower ? q - j->lower : 0;
 }
 
-double td_joint_torque(const td_machine *m, int joint, double q, double dq)
+double td_joint_torque(double *by_q, double *by_dq, const td_machine *m, int joint, double q, double dq)
 {
     const td_machine_options *o = &m->options;
-    double torque = -o->viscous[joint] * dq - o->coulomb[joint] * tanh(dq / o->slip);
-    const double past = beyond(m, joint, q);
-    if (past != 0) {
-        /* It pushes only: leaving fast, the joint is not pulled back. */
-        const double inwards = 1 + o->stop_damping * (past > 0 ? dq : -dq);
-        torque -= m->stop_n[joint] * past * fmax(inwards, 0);
-    }
-    return torque;
+    const double slipping = tanh(dq / o->slip), past = beyond(m, joint, q), k = m->stop_n[joint];
+    /* A stop pushes only: leaving fast, the joint is not pulled back. */
+    const double damping = past > 0 ? o->stop_damping : -o->stop_damping,
+                 pressed = past == 0 ? 0 : fmax(1 + damping * dq, 0);
+    if (by_q) *by_q = -k * pressed;
+    if (by_dq)
+        *by_dq = -o->viscous[joint] - o->coulomb[joint] * (1 - slipping * slipping) / o->slip -
+                 (pressed > 0 ? k * past * damping : 0);
+    return -o->viscous[joint] * dq - o->coulomb[joint] * slipping - k * past * pressed;
 }
 
 double td_stop_energy(const td_machine *m, int joint, double q)
@@ -102,20 +103,25 @@ double td_stop_energy(const td_machine *m, int joint, double q)
 
 /* ---- equations of motion ---- */
 
-/* Solves a (n,n) x = b, symmetric positive definite, in place. */
-static bool solve(double *x, double *a, int n)
+bool td_machine_cholesky(double *a, int n)
 {
-    for (int i = 0; i < n; i++) {
+    for (int i = 0; i < n; i++)
         for (int k = 0; k <= i; k++) {
             double sum = a[i * n + k];
             for (int j = 0; j < k; j++) sum -= a[i * n + j] * a[k * n + j];
             if (k < i)
                 a[i * n + k] = sum / a[k * n + k];
-            else if (!(sum > 0))
-                return false;
-            else
+            else if (sum > 0)
                 a[i * n + i] = sqrt(sum);
+            else
+                return false;
         }
+    return true;
+}
+
+void td_machine_cholesky_solve(double *x, const double *a, int n)
+{
+    for (int i = 0; i < n; i++) {
         for (int j = 0; j < i; j++) x[i] -= a[i * n + j] * x[j];
         x[i] /= a[i * n + i];
     }
@@ -123,7 +129,6 @@ static bool solve(double *x, double *a, int n)
         for (int j = i + 1; j < n; j++) x[i] -= a[j * n + i] * x[j];
         x[i] /= a[i * n + i];
     }
-    return true;
 }
 
 /* The base stands still: the joints' rows alone. */
@@ -141,7 +146,9 @@ static bool accelerate_fixed(double *acceleration, const td_machine *m, const td
         acceleration[6 + i] = force[6 + i] - bias[6 + i];
         for (int k = 0; k < n; k++) own[i * n + k] = mass[(6 + i) * all + 6 + k];
     }
-    return solve(acceleration + 6, own, n);
+    if (!td_machine_cholesky(own, n)) return false;
+    td_machine_cholesky_solve(acceleration + 6, own, n);
+    return true;
 }
 
 static void close_base(double *dy, const td_machine_layout *l, const double *y, const td_machine_view *v,
@@ -149,11 +156,11 @@ static void close_base(double *dy, const td_machine_layout *l, const double *y, 
 {
     const double *quat = y + l->pose, *w = v->nu;
     double aside[3], spin[3];
-    cross(aside, quat + 1, w);
+    td_machine_cross(aside, quat + 1, w);
     dy[l->pose] = -(quat[1] * w[0] + quat[2] * w[1] + quat[3] * w[2]) / 2;
     for (int i = 0; i < 3; i++) dy[l->pose + 1 + i] = (quat[0] * w[i] + aside[i]) / 2;
     td_pose_rotate(dy + l->pose + 4, &v->pose, v->nu + 3);
-    cross(spin, w, v->nu + 3);
+    td_machine_cross(spin, w, v->nu + 3);
     for (int i = 0; i < 3; i++) {
         dy[l->nu + i] = acceleration[i];
         dy[l->nu + 3 + i] = acceleration[3 + i] - spin[i];
@@ -166,7 +173,7 @@ static bool drive(double *dy, double *torque, const td_machine *m, double t, con
     const td_machine_layout l = td_machine_layout_of(m);
     double lever[TD_ROBOT_MAX_JOINTS], push[TD_ROBOT_MAX_JOINTS];
     for (int k = 0; k < l.n; k++) {
-        torque[k] = td_joint_torque(m, k, v->q[k], v->nu[6 + k]);
+        torque[k] = td_joint_torque(NULL, NULL, m, k, v->q[k], v->nu[6 + k]);
         if (m->options.hydraulics && !td_actuator_lever(lever + k, m, k, v->q[k])) return false;
     }
     memset(dy + l.force, 0, 2 * (size_t)l.n * sizeof *dy);

@@ -143,13 +143,30 @@ static double share(const td_machine *m, const double *speed)
     return flow > m->options.pump_m3_s ? m->options.pump_m3_s / flow : 1;
 }
 
-static double relief(const td_actuator *a, double force)
+/* Piston speed that the relief valve lets past; *slope (may be NULL) its derivative by the force. */
+static double relief(double *slope, const td_actuator *a, double force)
 {
     const int side = force < 0;
     const double limit = a->force[side], over = fabs(force) - RELIEF_OPENS * limit;
+    if (slope) *slope = 0;
     if (!(over > 0)) return 0;
-    const double full = isfinite(a->speed[side]) ? a->speed[side] : 1;
-    return (side ? -full : full) * over / ((1 - RELIEF_OPENS) * limit);
+    const double full = isfinite(a->speed[side]) ? a->speed[side] : 1,
+                 each = full / ((1 - RELIEF_OPENS) * limit);
+    if (slope) *slope = each;
+    return side ? -each * over : each * over;
+}
+
+/* The commands as they stand at t, and the piston speeds that the valves are set to (0 for forces). */
+static void wanted(double *value, double *given, const td_machine *m, double t, const double *lever)
+{
+    const int n = m->robot.joint_count;
+    for (int k = 0; k < n; k++) {
+        value[k] = m->command.value[k] + m->slope[k] * (t - m->command_s);
+        given[k] = m->command.kind == TD_COMMAND_FORCE ? 0 : asked(m, k, value[k], lever[k]);
+    }
+    const double part = share(m, given);
+    for (int k = 0; k < n; k++)
+        if (m->actuator[k].cylinder) given[k] *= part;
 }
 
 void td_hydraulics_rate(double *force_rate, double *valve_rate, double *push, const td_machine *m, double t,
@@ -158,16 +175,11 @@ void td_hydraulics_rate(double *force_rate, double *valve_rate, double *push, co
     const int n = m->robot.joint_count;
     const double lag = m->options.valve_s, *dq = view->nu + 6;
     const bool by_force = m->command.kind == TD_COMMAND_FORCE;
-    double value[TD_ROBOT_MAX_JOINTS], speed[TD_ROBOT_MAX_JOINTS];
-    for (int k = 0; k < n; k++) {
-        value[k] = m->command.value[k] + m->slope[k] * (t - m->command_s);
-        speed[k] = by_force ? 0 : asked(m, k, value[k], lever[k]);
-    }
-    const double part = share(m, speed);
+    double value[TD_ROBOT_MAX_JOINTS], given[TD_ROBOT_MAX_JOINTS];
+    wanted(value, given, m, t, lever);
     for (int k = 0; k < n; k++) {
         const td_actuator *a = m->actuator + k;
-        const double given = a->cylinder ? part * speed[k] : speed[k];
-        valve_rate[k] = (given - view->valve[k]) / lag;
+        valve_rate[k] = (given[k] - view->valve[k]) / lag;
         double limit[2];
         td_machine_limit(limit, m, TD_COMMAND_FORCE, k);
         if (by_force) {
@@ -175,9 +187,48 @@ void td_hydraulics_rate(double *force_rate, double *valve_rate, double *push, co
             push[k] = view->force[k];
         } else {
             force_rate[k] =
-                m->options.oil_n_m * (view->valve[k] - lever[k] * dq[k] - relief(a, view->force[k]));
+                m->options.oil_n_m * (view->valve[k] - lever[k] * dq[k] - relief(NULL, a, view->force[k]));
             push[k] = a->sign * held(a->sign * (view->force[k] + m->options.oil_s * force_rate[k]), limit);
         }
+    }
+}
+
+/* How a joint's valve setting changes with its lever: only a rate within its limits goes through it. */
+static double given_by_lever(const td_machine *m, int joint, double value, double given, double lever)
+{
+    if (m->command.kind != TD_COMMAND_RATE || lever == 0) return 0;
+    const td_actuator *a = m->actuator + joint;
+    double limit[2];
+    td_machine_limit(limit, m, TD_COMMAND_RATE, joint);
+    const double speed = lever * held(value, limit);
+    return speed >= a->speed[0] || speed <= -a->speed[1] ? 0 : given / lever;
+}
+
+void td_hydraulics_slopes(td_hydraulics_slope *slope, double *push, const td_machine *m, double t,
+                          const td_machine_view *view, const double *lever, const double *lever_slope)
+{
+    const td_machine_options *o = &m->options;
+    double value[TD_ROBOT_MAX_JOINTS], given[TD_ROBOT_MAX_JOINTS], force_rate[TD_ROBOT_MAX_JOINTS],
+        valve_rate[TD_ROBOT_MAX_JOINTS];
+    wanted(value, given, m, t, lever);
+    td_hydraulics_rate(force_rate, valve_rate, push, m, t, view, lever);
+    for (int k = 0; k < m->robot.joint_count; k++) {
+        const double free = view->force[k] + o->oil_s * force_rate[k];
+        td_hydraulics_slope s = {.valve = {0, 0, 0, -1 / o->valve_s}};
+        s.valve[0] = given_by_lever(m, k, value[k], given[k], lever[k]) * lever_slope[k] / o->valve_s;
+        if (m->command.kind == TD_COMMAND_FORCE) {
+            s.force[2] = -1 / o->valve_s;
+            s.push[2] = 1;
+        } else {
+            double open = 0;
+            relief(&open, m->actuator + k, view->force[k]);
+            s.force[0] = -o->oil_n_m * lever_slope[k] * view->nu[6 + k];
+            s.force[1] = -o->oil_n_m * lever[k];
+            s.force[2] = -o->oil_n_m * open;
+            s.force[3] = o->oil_n_m;
+            for (int i = 0; i < 4 && free == push[k]; i++) s.push[i] = o->oil_s * s.force[i] + (i == 2);
+        }
+        slope[k] = s;
     }
 }
 

@@ -34,6 +34,7 @@ struct td_machine {
     td_integrator *integrator;
     double t;
     double *y, *absolute; /* (size) */
+    double *rows;         /* (6+n,size), of the Jacobian's making */
     int event_joint[TD_ODE_MAX_EVENTS];
     bool event_upper[TD_ODE_MAX_EVENTS];
     td_machine_event event[MACHINE_MAX_EVENTS];
@@ -74,6 +75,13 @@ bool td_actuator_lever(double *lever, const td_machine *machine, int joint, doub
 void td_hydraulics_rate(double *force_rate, double *valve_rate, double *push, const td_machine *machine,
                         double t, const td_machine_view *view, const double *lever);
 void td_hydraulics_push(double *push, const td_machine *machine, double t, const td_machine_view *view);
+/* Derivatives of F', u' and the push by a joint's own q, dq, F and u. Where the pumps are shared, the share
+ * is taken as constant. */
+typedef struct td_hydraulics_slope {
+    double force[4], valve[4], push[4];
+} td_hydraulics_slope;
+void td_hydraulics_slopes(td_hydraulics_slope *slope, double *push, const td_machine *machine, double t,
+                          const td_machine_view *view, const double *lever, const double *lever_slope);
 td_status td_command_check(const td_machine *machine, const td_plant_command *command, td_error *error);
 /* What flows, m^3/s, at a piston speed; the sign is the speed's. */
 double td_actuator_flow(const td_actuator *actuator, double speed);
@@ -83,10 +91,20 @@ double td_actuator_pressure(const td_actuator *actuator, double force);
 /* On the base [moment, force] in its axes; 0 but on a suspension. */
 void td_suspension_wrench(double wrench[6], const td_machine *machine, const td_machine_view *view);
 double td_suspension_energy(const td_machine *machine, const td_machine_view *view);
-/* Of friction and stops at a joint. */
-double td_joint_torque(const td_machine *machine, int joint, double q, double dq);
+/* Of friction and stops at a joint, and its derivatives (may be NULL). */
+double td_joint_torque(double *by_q, double *by_dq, const td_machine *machine, int joint, double q,
+                       double dq);
 double td_stop_energy(const td_machine *machine, int joint, double q);
+td_pose td_machine_sag(const td_machine *machine, const td_machine_view *view); /* anchor_from_base, w >= 0 */
+void td_machine_cross(double c[3], const double a[3], const double b[3]);
+void td_base_from_site(double in_base[3], const td_pose *site_from_base, const double in_site[3]);
+/* a (n,n), symmetric positive definite, becomes its factor (lower part); x = a^-1 x. */
+bool td_machine_cholesky(double *a, int n);
+void td_machine_cholesky_solve(double *x, const double *factor, int n);
 bool td_machine_rate(double *dy, double t, const double *y, void *machine);
+
+/* machine_jacobian.c */
+bool td_machine_jacobian(double *j, double t, const double *y, const double *dy, void *machine);
 
 /* machine_state.c */
 void td_machine_close(double *y, const td_machine *machine, const td_plant_state *state);

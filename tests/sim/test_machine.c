@@ -472,6 +472,77 @@ static void test_mass(void **unused)
     td_robot_free(&robot);
 }
 
+/* ---- its Jacobian ---- */
+
+/* Against central differences of the rate, column by column, as a share of the column's largest entry in
+ * units in which the states are of size 1. */
+static double jacobian_apart(td_machine *machine, const double *y, double t)
+{
+    const td_ode *ode = td_machine_ode(machine);
+    const size_t n = ode->size;
+    double *j = calloc(n * n, sizeof *j), *at = calloc(4 * n, sizeof *at), worst = 0;
+    double *dy = at + n, *ahead = at + 2 * n, *behind = at + 3 * n;
+    assert_true(j && at && ode->rate(dy, t, y, ode->user) && ode->jacobian(j, t, y, dy, ode->user));
+    for (size_t c = 0; c < n; c++) {
+        double largest = 0, most = 0;
+        const double width = 1e-6 * fmax(1e-1, fabs(y[c]));
+        memcpy(at, y, n * sizeof *y);
+        at[c] = y[c] + width;
+        assert_true(ode->rate(ahead, t, at, ode->user));
+        at[c] = y[c] - width;
+        assert_true(ode->rate(behind, t, at, ode->user));
+        for (size_t i = 0; i < n; i++) {
+            const double scale = i >= n - 8 && i < n - 4 ? 1e8 : 1; /* forces */
+            const double difference = (ahead[i] - behind[i]) / (2 * width);
+            most = fmax(most, fabs(difference - j[i * n + c]) / scale);
+            largest = fmax(largest, fabs(difference) / scale);
+        }
+        worst = fmax(worst, largest > 0 ? most / largest : most);
+    }
+    free(j);
+    free(at);
+    return worst;
+}
+
+static void test_jacobian(void **unused)
+{
+    td_robot *robot = zx200();
+    (void)unused;
+    for (int kind = 0; kind < 12; kind++) {
+        td_machine_options o = td_machine_options_default(robot);
+        o.base = (td_machine_base)(kind % 3);
+        o.coriolis = kind != 3;
+        o.hydraulics = kind != 4;
+        td_machine *machine = machine_of(robot, &o);
+        td_plant_state s = read_state(machine);
+        td_error error = {0};
+        const double q[JOINTS] = {0.5, -0.4, 1.3, 0.6};
+        const double xi[6] = {0.02, -0.03, 0.05, 0.01, -0.02, -0.015};
+        const td_pose moved = td_pose_exp(xi);
+        s.site_from_vehicle = td_pose_compose(&moved, &s.site_from_vehicle);
+        memcpy(s.q, q, sizeof q);
+        for (int k = 0; k < JOINTS; k++) s.dq[k] = 0.1 - 0.07 * k, s.force[k] = -2e4 * (k + 1);
+        s.force[BOOM] = kind == 6 ? -7.6e5 : s.force[BOOM]; /* its relief valve is open */
+        for (int i = 0; i < 6; i++) s.twist[i] = 0.05 * i - 0.1;
+        check_ok(td_machine_reset(machine, &s, &error), error);
+        if (kind != 4)
+            command(machine,
+                    kind == 5   ? TD_COMMAND_FORCE
+                    : kind == 7 ? TD_COMMAND_FLOW
+                                : TD_COMMAND_RATE,
+                    0.1, kind == 7 ? 1e-3 : 0.1, kind == 7 ? 1e-3 : -0.05, kind == 7 ? -1e-3 : 0.05);
+        double y[64];
+        memcpy(y, td_machine_values(machine), td_machine_size(machine) * sizeof *y);
+        const size_t n = td_machine_size(machine), at = o.base == TD_MACHINE_FIXED ? 0 : 7;
+        for (size_t k = 0; k < JOINTS; k++) y[n - JOINTS + k] = 0.03 * (double)k - 0.02;
+        if (kind == 8) y[at + ARM] = 0.594 - 1e-3; /* past a stop */
+        if (at) y[0] *= 1.1;                       /* the quaternion need not be of length 1 */
+        check_less(jacobian_apart(machine, y, 0), 1e-5);
+        td_machine_free(&machine);
+    }
+    td_robot_free(&robot);
+}
+
 /* ---- the same again ---- */
 
 /* 3 s of a ramp up, a hold and a ramp down, in `pieces` steps each. */
@@ -573,10 +644,10 @@ static void test_plant(void **unused)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_statics),    cmocka_unit_test(test_sag),      cmocka_unit_test(test_floating),
-        cmocka_unit_test(test_springs),    cmocka_unit_test(test_flow),     cmocka_unit_test(test_force),
-        cmocka_unit_test(test_limits),     cmocka_unit_test(test_refusals), cmocka_unit_test(test_mass),
-        cmocka_unit_test(test_same_again), cmocka_unit_test(test_plant),
+        cmocka_unit_test(test_statics),  cmocka_unit_test(test_sag),        cmocka_unit_test(test_floating),
+        cmocka_unit_test(test_springs),  cmocka_unit_test(test_flow),       cmocka_unit_test(test_force),
+        cmocka_unit_test(test_limits),   cmocka_unit_test(test_refusals),   cmocka_unit_test(test_mass),
+        cmocka_unit_test(test_jacobian), cmocka_unit_test(test_same_again), cmocka_unit_test(test_plant),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
