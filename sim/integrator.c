@@ -17,9 +17,10 @@
 
 #include <cvode/cvode.h>
 #include <nvector/nvector_serial.h>
-#include <sunlinsol/sunlinsol_dense.h>
 #include <sunmatrix/sunmatrix_dense.h>
 #include <sunnonlinsol/sunnonlinsol_fixedpoint.h>
+
+#include "sim/dense_solver_internal.h"
 
 enum { ADAMS, BDF, STEPS_BEFORE_TEST = 20 };
 
@@ -233,7 +234,7 @@ static bool make_memory(td_integrator *g, int which)
     } else {
         sunindextype n = (sunindextype)g->ode.size;
         g->matrix = SUNDenseMatrix(n, n, g->context);
-        g->linear = g->matrix ? SUNLinSol_Dense(g->y, g->matrix, g->context) : NULL;
+        g->linear = g->matrix ? td_dense_solver(n, g->context) : NULL;
         ok = ok && g->linear && CVodeSetLinearSolver(m, g->linear, g->matrix) == CV_SUCCESS &&
              CVodeSetJacFn(m, jacobian) == CV_SUCCESS;
     }
