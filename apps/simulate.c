@@ -22,7 +22,8 @@ static cli_option options[] = {
      "and off; some thirty runs",
      0, 0, NULL},
     {.type = CLI_HEADING, .name = "In place of what the scenario says"},
-    {CLI_REAL, "duration", 0, &duration_s, "S", "simulated time of table and free motions", 1e-3, 1e5, NULL},
+    {CLI_REAL, "duration", 0, &duration_s, "S",
+     "simulated time; a table, a step and a hold go on as they end", 1e-3, 1e5, NULL},
     {CLI_STRING, "method", 0, &method, "NAME", "integrator: auto, adams or bdf", 0, 0, methods},
     {CLI_REAL, "relative", 0, &relative, "R", "relative tolerance", 1e-13, 0.1, NULL},
     {CLI_REAL, "oil", 0, &oil_n_m, "N/M", "stiffness of the oil", 1, 1e14, NULL},
@@ -76,11 +77,10 @@ static const char *gate_help(void)
 static td_status override(scenario *s, td_error *error)
 {
     if (duration_s > 0) {
-        if (strcmp(s->motion.kind, "trapezoid") == 0)
-            return td_fail(
-                error, TD_ERROR_ARGUMENT,
-                "--duration: the ramps of a trapezoid end with the scenario's duration_s; change it "
-                "there");
+        if (strcmp(s->motion.kind, "trapezoid") == 0 || strcmp(s->motion.kind, "sine") == 0)
+            return td_fail(error, TD_ERROR_ARGUMENT,
+                           "--duration: a %s is as long as the scenario's duration_s; change it there",
+                           s->motion.kind);
         s->duration_s = duration_s;
     }
     if (s->duration_s / s->log_s > SIMULATE_MAX_ROWS / 4)

@@ -10,15 +10,15 @@
 #define DEGREES 57.29577951308232
 
 const gate_row simulate_gate_defaults[] = {
-    {"stops", 0, 1e9, "how often a joint met a stop: what is commanded runs into them"},
-    {"force_share", 0.97, 1e9,
+    {"stops", 0, INFINITY, "how often a joint met a stop: what is commanded runs into them"},
+    {"force_share", 0.97, INFINITY,
      "largest force or torque over its limit: above 0.97 a relief valve is open, and the motion is not the "
      "commanded one"},
     {"tilt_deg", 2, 10,
      "largest pitch or roll against the start: above 2 degrees the machine rocks, above 10 it tips (the "
      "model's "
      "suspension pulls, the ground does not)"},
-    {"cpu_share", 0.5, 1e9, "computing time over simulated time: above 1 it is slower than the machine"},
+    {"cpu_share", 0.5, INFINITY, "computing time over simulated time: above 1 it is slower than the machine"},
 };
 const size_t simulate_gate_count = sizeof simulate_gate_defaults / sizeof *simulate_gate_defaults;
 

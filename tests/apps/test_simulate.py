@@ -164,6 +164,7 @@ def test_bad(folder):
         refused(what, status, words, write(os.path.join(folder, "bad"), HEAD + text, table), *options, command="simulate")
 
     refused("no scenario", 1, ["none"], os.path.join(folder, "none"), command="simulate")
+    refused("another duration of a trapezoid", 2, ["trapezoid", "duration_s"], EXAMPLE, "--duration", "9", command="simulate")
     refused("no argument", 2, ["SCENARIO is missing"], command="simulate")
     rest = "duration_s: 2\nmotion: {kind: hold}\n"
     moved = START + "duration_s: 2\nmotion: {kind: %s}\n"
