@@ -36,8 +36,7 @@ static double force(const simulate_job *j, const sample *a, int k)
 }
 static double pressure(const simulate_job *j, const sample *a, int k)
 {
-    (void)j;
-    return 1e-6 * a->state.pressure[k];
+    return simulate_is_motor(j->scenario.robot, k) ? NAN : 1e-6 * a->state.pressure[k];
 }
 static double flow(const simulate_job *j, const sample *a, int k)
 {
@@ -77,26 +76,33 @@ static double order(const simulate_job *j, const sample *a, int k)
 
 typedef struct picture {
     td_series series[MOST_SERIES];
-    double *values; /* (1 + MOST_SERIES, samples): time first */
+    double *values; /* (MOST_SERIES, 2, samples): times and values of each series */
     size_t count, samples;
 } picture;
 
 static bool picture_begin(picture *p, const simulate_job *j)
 {
     *p = (picture){.samples = j->run.count};
-    p->values = calloc((1 + MOST_SERIES) * p->samples + 1, sizeof *p->values);
-    for (size_t i = 0; p->values && i < p->samples; i++) p->values[i] = j->run.sample[i].state.time_s;
+    p->values = calloc(2 * MOST_SERIES * p->samples + 1, sizeof *p->values);
     return p->values;
 }
 
+/* Samples for which the number is none are left out. */
 static void picture_add(picture *p, const simulate_job *j, pick *get, int k, const char *label,
                         td_shape shape, td_tone tone)
 {
     if (p->count == MOST_SERIES) return;
-    double *y = p->values + (1 + p->count) * p->samples;
-    for (size_t i = 0; i < p->samples; i++) y[i] = get(j, j->run.sample + i, k);
-    p->series[p->count++] = (td_series){
-        .label = label, .shape = shape, .tone = tone, .count = p->samples, .x = p->values, .y = y};
+    double *x = p->values + 2 * p->count * p->samples, *y = x + p->samples;
+    size_t n = 0;
+    for (size_t i = 0; i < p->samples; i++) {
+        const double value = get(j, j->run.sample + i, k);
+        if (!isfinite(value)) continue;
+        x[n] = j->run.sample[i].state.time_s;
+        y[n++] = value;
+    }
+    if (n == 0) return;
+    p->series[p->count++] =
+        (td_series){.label = label, .shape = shape, .tone = tone, .count = n, .x = x, .y = y};
 }
 
 static void picture_end(td_report *r, picture *p, const char *title, const char *y_label)
@@ -228,9 +234,10 @@ static void sweeps(td_report *r, const sweep *w)
     sweep_table(r, "control period (s)", w->period, w->period_count);
     td_report_heading(r, "Gain of the controller: what it costs");
     sweep_table(r, "gain (1/s)", w->gain, w->gain_count);
-    td_report_heading(
-        r, "Stiffness of the oil: the fastest time constant sets the cost of an explicit method, not "
-           "of this one");
+    td_report_heading(r, "Stiffness of the oil: what it costs");
+    td_report_text(
+        r, "The stiffer the oil, the faster the machine's fastest time constant. An explicit method's steps "
+           "shrink with it; those of an implicit one need not.");
     sweep_table(r, "oil (N/m)", w->oil, w->oil_count);
     td_report_heading(r, "Centrifugal and Coriolis terms");
     sweep_table(r, "terms", w->coriolis, 2);
