@@ -7,7 +7,7 @@
 #include "apps/simulate_internal.h"
 #include "core/file.h"
 
-static const char *scenario_path, *method;
+static const char *scenario_path, *method, *compile_folder;
 static cli_common common;
 static cli_list gates;
 static bool accept, sweeping, no_coriolis;
@@ -20,6 +20,11 @@ static cli_option options[] = {
      "besides: control period against stability, gain and the oil's stiffness against cost, Coriolis terms "
      "on "
      "and off; some thirty runs",
+     0, 0, NULL},
+    {CLI_STRING, "compile", 0, &compile_folder, "DIR",
+     "generate the robot's equations as C, compile them into DIR ($CC, cc) and use them; kept there for the "
+     "next "
+     "run. Without: the zx200's are built in, another's are evaluated link by link, which is slower",
      0, 0, NULL},
     {.type = CLI_HEADING, .name = "In place of what the scenario says"},
     {CLI_REAL, "duration", 0, &duration_s, "S",
@@ -97,6 +102,7 @@ static td_status override(scenario *s, td_error *error)
     if (period_s > 0) s->period_s = period_s;
     if (gain_1_s > 0) s->gain_1_s = gain_1_s;
     if (no_coriolis) s->options.coriolis = false;
+    s->compile_folder = compile_folder;
     return TD_OK;
 }
 

@@ -24,7 +24,8 @@ typedef struct scenario {
     td_machine_options options;
     double duration_s, log_s;
     motion motion;
-    double gain_1_s, period_s; /* of the controller of positions; period 0: none, commands go straight in */
+    const char *compile_folder; /* for the robot's generated dynamics; NULL: evaluated, not compiled */
+    double gain_1_s, period_s;  /* of the controller of positions; period 0: none, commands go straight in */
 } scenario;
 
 /* A row of the log. */

@@ -100,7 +100,7 @@ static td_status give_command(driver *d, td_error *error)
 static td_status begin(driver *d, td_error *error)
 {
     const scenario *s = d->s;
-    TD_TRY(td_machine_new(&d->machine, s->robot, &s->options, NULL, error));
+    TD_TRY(td_machine_new(&d->machine, s->robot, &s->options, s->compile_folder, error));
     TD_TRY(td_machine_reset(d->machine, &s->start, error));
     TD_TRY(td_machine_settle(d->machine, error));
     td_plant_state state;

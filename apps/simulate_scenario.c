@@ -1,4 +1,25 @@
-/* scenario.yaml: which robot, from where, how long, moved how, integrated how. */
+/* scenario.yaml: which robot, from where, how long, moved how, integrated how. All but the first, third and
+ * duration_s may be missing (motion: only where hydraulics are off):
+ *
+ *   teledimos: scenario 1
+ *   name: dig
+ *   robot: ../zx200/zx200.urdf                    (with its YAML beside it)
+ *   start:                                        (settled there: the base sunk in, the cylinders loaded)
+ *     joints: {boom: -0.4, arm: 1.4}              (rad or m; 0 or the nearest stop)
+ *     rates: {swing: 0.1}
+ *     base: {q: [1, 0, 0, 0], t_m: [0, 0, 0]}     (where its tracks stand while they bear nothing)
+ *   duration_s: 6
+ *   log_s: 0.02
+ *   gravity_m_s2: [0, 0, -9.80665]
+ *   motion: {kind: hold}
+ *           {kind: trapezoid, command: rate, joints: {boom: -0.1}, ramp_s: 1}      (of flow, force or rate)
+ *           {kind: step, command: flow, joints: {boom: -1e-3}, at_s: 0.5}
+ *           {kind: sine, joints: {bucket: 0.3}, frequency_hz: 0.5}
+ *           {kind: table, command: flow, file: commands.csv}    (time_s, boom_m3_s, swing_rad_s …)
+ *   control: {gain_1_s: 3, period_s: 0.05}        (positions controlled around a motion of rates)
+ *   machine: {base: suspended, coriolis: true, hydraulics: true, oil_n_m: 1e8, oil_s: 0.01, valve_s: 0.05,
+ *             pump_m3_s: 7.07e-3, suspension_damping: 1, friction: 1}   (the last two: factors)
+ *   integrator: {method: auto, relative: 1e-4, max_step_s: 0} */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>

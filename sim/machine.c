@@ -187,8 +187,7 @@ static td_status build(td_machine *m, const char *folder, td_error *error)
         start.q[k] = fmax(m->robot.joint[k].lower, fmin(m->robot.joint[k].upper, 0));
     TD_TRY(check_inertia(m, start.q, error));
     td_machine_close(m->y, m, &start);
-    TD_TRY(td_integrator_new(&m->integrator, &m->ode, 0, m->y, &m->options.integrator, error));
-    return td_machine_settle(m, error);
+    return td_integrator_new(&m->integrator, &m->ode, 0, m->y, &m->options.integrator, error);
 }
 
 td_status td_machine_new(td_machine **machine, const td_robot *robot, const td_machine_options *options,

@@ -60,8 +60,9 @@ TD_API td_machine_options td_machine_options_default(const td_robot *robot);
 typedef struct td_machine td_machine;
 /* Generated dynamics where the build has them (td_dynamics_zx200), else recursive ones; or those compiled
  * into `folder` (may be NULL) by td_dynamics_compile. It stands at q = 0, or at the stop nearest to it, on
- * the anchor, settled. `robot` is copied. Options NULL: defaults. Refused by name: what td_dynamics refuses,
- * options that are no numbers or negative, a suspension without all of heave, pitch and roll. */
+ * the anchor, and nothing bears its weight yet: td_machine_reset and td_machine_settle come next. `robot` is
+ * copied. Options NULL: defaults. Refused by name: what td_dynamics refuses, options that are no numbers or
+ * negative, a suspension without all of heave, pitch and roll. */
 TD_API td_status td_machine_new(td_machine **machine, const td_robot *robot,
                                 const td_machine_options *options, const char *folder, td_error *error);
 TD_API void td_machine_free(td_machine **machine);

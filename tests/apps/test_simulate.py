@@ -134,6 +134,26 @@ def test_stops_and_gate(folder):
     check(run("simulate", scene, "-o", out, "--gate", "stops=0", "--accept")[0] == 0, "--accept overrides")
 
 
+def test_compiled(folder):
+    '''Another robot: its equations evaluated, or generated and compiled, give the same motion; no compiler is named.'''
+    with open(ROBOT) as file:
+        urdf = file.read().replace('value="660"', 'value="900"')
+    with open(ROBOT.replace(".urdf", ".yaml")) as file:
+        cylinders = file.read()
+    scene = write(os.path.join(folder, "heavy"), urdf, name="heavy.urdf")
+    write(scene, cylinders, name="heavy.yaml")
+    write(scene, "teledimos: scenario 1\nname: heavy\nrobot: heavy.urdf\n" + START +
+          "duration_s: 2\nmotion: {kind: trapezoid, joints: {boom: -0.1, bucket: 0.2}}\n")
+    code = os.path.join(folder, "code")
+    slow, evaluated = simulate(scene, os.path.join(folder, "heavy-out"))
+    fast, compiled = simulate(scene, os.path.join(folder, "heavy-out"), "--compile", code)
+    apart = max(abs(a[k] - b[k]) for a, b in zip(evaluated, compiled) for k in ("boom_rad", "bucket_rad", "base_z_m"))
+    check(len(evaluated) == len(compiled) == 101 and apart < 1e-8 and os.listdir(code),
+          f"compiled and evaluated are {apart:.0e} apart, {slow['real_time_factor']:.0f} and {fast['real_time_factor']:.0f} times real time")
+    refused("no compiler", 1, ["/nowhere/cc"], scene, "--compile", os.path.join(folder, "none"), command="simulate",
+            env={"CC": "/nowhere/cc"})
+
+
 def test_sweep(folder):
     result, _ = simulate(EXAMPLE, os.path.join(folder, "sweep"), "--sweep")
     sweep = result["sweep"]
@@ -199,6 +219,7 @@ with tempfile.TemporaryDirectory() as place:
     test_flow(place)
     test_free(place)
     test_stops_and_gate(place)
+    test_compiled(place)
     test_sweep(place)
     test_interrupted(place)
     test_bad(place)
