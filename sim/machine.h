@@ -82,7 +82,7 @@ TD_API td_status td_machine_command(td_machine *machine, const td_plant_command 
 /* Goes on by dt. The integrator starts anew where a command came in between, else not. */
 TD_API td_status td_machine_step(td_machine *machine, double dt_s, td_error *error);
 TD_API void td_machine_state(const td_machine *machine, td_plant_state *state);
-/* The largest value of a command of that kind: [0] as the angle falls, [1] as it grows, at the present q;
+/* The largest value of a command of that kind: [0] as the angle falls, [1] as it grows;
  * what td_machine_command refuses above. */
 TD_API void td_machine_limit(double limit[2], const td_machine *machine, td_command_kind kind, int joint);
 
