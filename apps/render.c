@@ -429,7 +429,7 @@ static td_status copy_robot(const job *j, td_error *error)
 static json_t *robot_json(const td_scene_file *f)
 {
     const char *mount = f->scene.robot->link[f->mount_link < 0 ? 0 : f->mount_link].name;
-    return json_pack("{s:s, s:s}", "urdf", "robot/robot.urdf", "mount", mount);
+    return json_pack("{s:s, s:s, s:s}", "urdf", "robot/robot.urdf", "joints", "frames.csv", "mount", mount);
 }
 
 static td_status write_description(const job *j, td_error *error)
