@@ -114,6 +114,16 @@ typedef struct bench_match_pair {
     int found, matched;
 } bench_match_pair;
 void bench_opencv_match(void *pair);
+/* bench_dense.c */
+void bench_dense(const bench *b);
+
+/* bench_dense_opencv.cpp: disparities in 1/16 px, negative where none. */
+typedef struct bench_dense_pair {
+    const unsigned char *image[2]; /* (height,width) grey: left, right */
+    int width, height, levels, block;
+    short *disparity; /* (height,width) out */
+} bench_dense_pair;
+void bench_opencv_dense(void *pair);
 
 #ifdef __cplusplus
 }
