@@ -33,13 +33,19 @@ static td_symbol3 spun(td_writing *w, int body, td_symbol3 a)
     return td_turn_apply(&w->graph, turn, a);
 }
 
+static td_symbol joint_position(td_writing *w, int index)
+{
+    const td_symbol q = input(w, TD_INPUT_Q, index - 1);
+    return turns(w->tree->body + index) ? td_symbol_angle(&w->graph, q) : q;
+}
+
 static void place_body(td_writing *w, int index)
 {
     td_graph *g = &w->graph;
     const td_body *body = w->tree->body + index;
     const bool parent_spins = body->parent > 0 && !w->tree->body[body->parent].turned;
     td_place *place = w->place + index;
-    const td_symbol q = input(w, TD_INPUT_Q, index - 1);
+    const td_symbol q = joint_position(w, index);
     const td_symbol3 axis = td_symbol3_constant(g, body->axis);
     td_symbol3 offset = td_symbol3_constant(g, body->offset);
     place->angle = parent_spins ? w->place[body->parent].angle : 0;
@@ -61,6 +67,8 @@ static void place_body(td_writing *w, int index)
 void td_write_places(td_writing *w)
 {
     w->place[0] = (td_place){.turn = {-1, 1, 0}};
+    for (int i = 1; i < w->tree->body_count; i++)
+        joint_position(w, i); /* branches first, while little lives */
     for (int i = 1; i < w->tree->body_count; i++) place_body(w, i);
 }
 
