@@ -82,8 +82,14 @@ static size_t output_count(const maker *m, int function)
     return function == TD_FUNCTION_JACOBIAN ? 6 * n : n;
 }
 
+/* Ways to solve for the accelerations. */
+typedef struct variant {
+    bool from_base;
+    int pivot;
+} variant;
+
 /* The text of a function's body; NULL: out of memory. *flops SIZE_MAX: too long. */
-static char *body_text(const maker *m, int function, int link, bool from_base, size_t *flops)
+static char *body_text(const maker *m, int function, int link, variant v, size_t *flops)
 {
     const bool forward = function == TD_FUNCTION_FORWARD || function == TD_FUNCTION_FORWARD_STILL;
     const size_t count = output_count(m, function), n = (size_t)m->tree->body_count + 5;
@@ -97,11 +103,12 @@ static char *body_text(const maker *m, int function, int link, bool from_base, s
         td_symbol *pivot = output + count, *diagonal = pivot + n;
         bool regular = true;
         w->tree = m->tree;
+        w->pivot = v.pivot;
         td_graph_begin(&w->graph);
         if (function == TD_FUNCTION_JACOBIAN)
             td_write_jacobian(w, output, link);
         else
-            regular = write_symbols(w, function, output, pivot, diagonal, from_base);
+            regular = write_symbols(w, function, output, pivot, diagonal, v.from_base);
         *flops = 0;
         if (w->graph.full)
             *flops = SIZE_MAX;
@@ -122,27 +129,38 @@ static char *body_text(const maker *m, int function, int link, bool from_base, s
     return text;
 }
 
-/* Of the two orders of elimination, the text of the shorter. */
-static char *shorter_text(const maker *m, int function, size_t *flops)
+/* The first turned body on the base; 0: none. */
+static int find_pivot(const td_tree *tree)
 {
-    char *text = body_text(m, function, 0, true, flops);
-    if (!text || (function != TD_FUNCTION_FORWARD && function != TD_FUNCTION_FORWARD_STILL)) return text;
-    size_t other_flops;
-    char *other = body_text(m, function, 0, false, &other_flops);
-    if (!other) {
-        free(text);
-        return NULL;
+    for (int i = 1; i < tree->body_count; i++)
+        if (tree->body[i].parent == 0 && tree->body[i].turned) return i;
+    return 0;
+}
+
+/* Of the orders of elimination, and with a pivot or without, the text of the shortest. */
+static char *shortest_text(const maker *m, int function, size_t *flops)
+{
+    const bool forward = function == TD_FUNCTION_FORWARD || function == TD_FUNCTION_FORWARD_STILL;
+    const int pivot = find_pivot(m->tree);
+    char *best = body_text(m, function, 0, (variant){true, 0}, flops);
+    for (int i = 1; best && forward && i < (pivot ? 4 : 2); i++) {
+        size_t other_flops;
+        char *other = body_text(m, function, 0, (variant){i % 2 == 0, i < 2 ? 0 : pivot}, &other_flops);
+        if (!other || other_flops < *flops) {
+            free(best);
+            best = other;
+            *flops = other_flops;
+        } else {
+            free(other);
+        }
     }
-    const bool better = other_flops < *flops;
-    free(better ? text : other);
-    if (better) *flops = other_flops;
-    return better ? other : text;
+    return best;
 }
 
 static td_status make_function(maker *m, int function)
 {
     size_t flops = 0;
-    char *text = shorter_text(m, function, &flops);
+    char *text = shortest_text(m, function, &flops);
     if (!text) return no_memory(m->error);
     m->written[function] = flops <= MOST_FLOPS;
     if (m->written[function]) {
@@ -164,7 +182,7 @@ static td_status make_jacobian(maker *m)
     bool done = true;
     for (int link = 0; done && flops <= MOST_FLOPS && link < m->tree->link_count; link++) {
         size_t more = 0;
-        char *body = body_text(m, TD_FUNCTION_JACOBIAN, link, true, &more);
+        char *body = body_text(m, TD_FUNCTION_JACOBIAN, link, (variant){true, 0}, &more);
         done = body != NULL;
         if (done) fprintf(to, "    case %d: {\n%s    } break;\n", link, body);
         flops = more == SIZE_MAX ? more : flops + more;
