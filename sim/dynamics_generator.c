@@ -10,7 +10,7 @@
 enum { MOST_FLOPS = 8000 };
 
 typedef struct maker {
-    const td_tree *tree;
+    td_tree *tree; /* (2): with the base given what its children can, and spared */
     const char *prefix;
     FILE *to;
     size_t flops[TD_FUNCTION_COUNT];
@@ -82,10 +82,11 @@ static size_t output_count(const maker *m, int function)
     return function == TD_FUNCTION_JACOBIAN ? 6 * n : n;
 }
 
-/* Ways to solve for the accelerations. */
+/* Ways to the same function: the first are forward dynamics' alone. */
 typedef struct variant {
     bool from_base;
     int pivot;
+    bool spare_base;
 } variant;
 
 /* The text of a function's body; NULL: out of memory. *flops SIZE_MAX: too long. */
@@ -102,7 +103,7 @@ static char *body_text(const maker *m, int function, int link, variant v, size_t
     if (done) {
         td_symbol *pivot = output + count, *diagonal = pivot + n;
         bool regular = true;
-        w->tree = m->tree;
+        w->tree = m->tree + v.spare_base;
         w->pivot = v.pivot;
         td_graph_begin(&w->graph);
         if (function == TD_FUNCTION_JACOBIAN)
@@ -137,15 +138,17 @@ static int find_pivot(const td_tree *tree)
     return 0;
 }
 
-/* Of the orders of elimination, and with a pivot or without, the text of the shortest. */
+/* Of all ways, the text of the shortest. */
 static char *shortest_text(const maker *m, int function, size_t *flops)
 {
     const bool forward = function == TD_FUNCTION_FORWARD || function == TD_FUNCTION_FORWARD_STILL;
-    const int pivot = find_pivot(m->tree);
-    char *best = body_text(m, function, 0, (variant){true, 0}, flops);
-    for (int i = 1; best && forward && i < (pivot ? 4 : 2); i++) {
+    const int pivot = find_pivot(m->tree), ways = forward ? (pivot ? 8 : 4) : 2;
+    char *best = body_text(m, function, 0, (variant){true, 0, false}, flops);
+    if (function == TD_FUNCTION_REGRESSOR) return best;
+    for (int i = 1; best && i < ways; i++) {
+        const variant v = {.spare_base = i & 1, .from_base = !(i & 2), .pivot = i & 4 ? pivot : 0};
         size_t other_flops;
-        char *other = body_text(m, function, 0, (variant){i % 2 == 0, i < 2 ? 0 : pivot}, &other_flops);
+        char *other = body_text(m, function, 0, v, &other_flops);
         if (!other || other_flops < *flops) {
             free(best);
             best = other;
@@ -182,7 +185,7 @@ static td_status make_jacobian(maker *m)
     bool done = true;
     for (int link = 0; done && flops <= MOST_FLOPS && link < m->tree->link_count; link++) {
         size_t more = 0;
-        char *body = body_text(m, TD_FUNCTION_JACOBIAN, link, (variant){true, 0}, &more);
+        char *body = body_text(m, TD_FUNCTION_JACOBIAN, link, (variant){true, 0, false}, &more);
         done = body != NULL;
         if (done) fprintf(to, "    case %d: {\n%s    } break;\n", link, body);
         flops = more == SIZE_MAX ? more : flops + more;
@@ -236,14 +239,15 @@ td_status td_dynamics_generate(td_generated *generated, const td_robot *robot, c
     if (!is_identifier(prefix))
         return td_fail(error, TD_ERROR_ARGUMENT, "prefix: '%s' is no name in C", prefix);
     TD_TRY(td_dynamics_check(robot, error));
-    td_tree *tree = malloc(sizeof *tree);
+    td_tree *tree = malloc(2 * sizeof *tree);
     char *code = NULL;
     size_t size = 0;
     FILE *to = open_memstream(&code, &size);
     maker m = {.tree = tree, .prefix = prefix, .to = to, .error = error};
     td_status status = TD_OK;
     if (tree && to) {
-        td_tree_build(tree, robot);
+        td_tree_build(tree, robot, false);
+        td_tree_build(tree + 1, robot, true);
         status = make_all(&m, robot);
     }
     if (!tree || !to || (fclose(to) != 0 && status == TD_OK)) status = no_memory(error);

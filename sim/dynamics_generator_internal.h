@@ -51,6 +51,8 @@ typedef struct td_given {
 
 void td_write_places(td_writing *w);
 void td_write_motion(td_writing *w, td_given given);
+/* A vector of the body in its working axes: given where their turns are 0, as it stands. */
+td_symbol3 td_write_spun(td_writing *w, int body, td_symbol3 a);
 /* From the working axes of `body` to its parent's, and back. */
 td_symbol3 td_write_to_parent(td_writing *w, int body, td_symbol3 a);
 td_symbol3 td_write_from_parent(td_writing *w, int body, td_symbol3 a);

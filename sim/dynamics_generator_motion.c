@@ -26,7 +26,7 @@ static td_symbol3 input3(td_writing *w, int array, int element)
 
 /* ---- places ---- */
 
-static td_symbol3 spun(td_writing *w, int body, td_symbol3 a)
+td_symbol3 td_write_spun(td_writing *w, int body, td_symbol3 a)
 {
     const td_turn turn = w->place[body].turn;
     if (turn.axis < 0 || w->tree->body[body].turned) return a;
@@ -55,9 +55,9 @@ static void place_body(td_writing *w, int index)
             body->sign > 0 ? td_symbol_add(g, place->angle, q) : td_symbol_subtract(g, place->angle, q);
     } else {
         offset = td_symbol3_add(g, offset, td_symbol3_scale(g, q, axis));
-        place->axis = spun(w, body->parent, axis);
+        place->axis = td_write_spun(w, body->parent, axis);
     }
-    place->offset = spun(w, body->parent, offset);
+    place->offset = td_write_spun(w, body->parent, offset);
     place->turn = (td_turn){-1, 1, 0};
     if (body->spin >= 0)
         place->turn =
