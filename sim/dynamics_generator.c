@@ -144,7 +144,7 @@ static char *shortest_text(const maker *m, int function, size_t *flops)
     const bool forward = function == TD_FUNCTION_FORWARD || function == TD_FUNCTION_FORWARD_STILL;
     const int pivot = find_pivot(m->tree), ways = forward ? (pivot ? 8 : 4) : 2;
     char *best = body_text(m, function, 0, (variant){true, 0, false}, flops);
-    if (function == TD_FUNCTION_REGRESSOR) return best;
+    if (function == TD_FUNCTION_REGRESSOR || *flops > 4 * MOST_FLOPS) return best; /* none will be short */
     for (int i = 1; best && i < ways; i++) {
         const variant v = {.spare_base = i & 1, .from_base = !(i & 2), .pivot = i & 4 ? pivot : 0};
         size_t other_flops;

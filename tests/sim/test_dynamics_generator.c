@@ -119,7 +119,7 @@ static void test_random_trees(void **state)
         {.joints = 7, .aligned = 1},
         {.joints = 8, .prismatic = 0.3, .branch = 0.3, .aligned = 1},
         {.joints = 12, .prismatic = 0.2, .branch = 0.5, .fixed = 0.2, .aligned = 0.8},
-        {.joints = 5, .prismatic = 0.3},
+        {.joints = 3, .prismatic = 0.3},
         {.joints = 1},
         {.joints = 0},
     };
@@ -136,7 +136,7 @@ static void test_random_trees(void **state)
 static void test_small_trees(void **state)
 {
     choose_compiler("cc -O0");
-    for (uint64_t seed = 0; seed < 8; seed++) {
+    for (uint64_t seed = 0; seed < 6; seed++) {
         td_robot *robot =
             random_robot(100 + seed, (robot_kind){3, seed % 2 ? 0.4 : 0.1, 0.3, 0.1, seed % 3 ? 0.9 : 0.4});
         compare_compiled(robot, *state, 20);
@@ -148,7 +148,7 @@ static void test_small_trees(void **state)
 static void test_optimised(void **state)
 {
     unsetenv("CC");
-    td_robot *robot = random_robot(30, (robot_kind){.joints = 4, .aligned = 1});
+    td_robot *robot = random_robot(30, (robot_kind){.joints = 2, .aligned = 1});
     compare_compiled(robot, *state, 100);
     free(robot);
 }
