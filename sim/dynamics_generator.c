@@ -147,7 +147,7 @@ static char *shortest_text(const maker *m, int function, size_t *flops)
     if (function == TD_FUNCTION_REGRESSOR || *flops > 4 * MOST_FLOPS) return best; /* none will be short */
     for (int i = 1; best && i < ways; i++) {
         const variant v = {.spare_base = i & 1, .from_base = !(i & 2), .pivot = i & 4 ? pivot : 0};
-        size_t other_flops;
+        size_t other_flops = 0;
         char *other = body_text(m, function, 0, v, &other_flops);
         if (!other || other_flops < *flops) {
             free(best);
@@ -250,7 +250,8 @@ td_status td_dynamics_generate(td_generated *generated, const td_robot *robot, c
         td_tree_build(tree + 1, robot, true);
         status = make_all(&m, robot);
     }
-    if (!tree || !to || (fclose(to) != 0 && status == TD_OK)) status = no_memory(error);
+    const bool whole = to && fclose(to) == 0 && tree;
+    if (status == TD_OK && !whole) status = no_memory(error);
     free(tree);
     if (status != TD_OK) {
         free(code);

@@ -17,13 +17,23 @@ static void choose_order(int *order, int n, bool from_base)
     }
 }
 
+/* A pivot that is a number: 0, or what rounding left of the diagonal it began as. */
+static bool is_nothing(const td_graph *g, td_symbol pivot, td_symbol diagonal)
+{
+    if (!td_symbol_is_constant(g, pivot)) return false;
+    const double value = g->node[pivot].value, start = g->node[diagonal].value; /* 0: not a number yet */
+    return !(value > 1e-13 * start);
+}
+
 /* Solves m x = x, both overwritten. False: a pivot is 0 whatever q. */
-static bool solve(td_graph *g, td_symbol *m, td_symbol *x, td_symbol *pivot, const int *order, int n)
+static bool solve(td_graph *g, td_symbol *m, td_symbol *x, td_symbol *pivot, const td_symbol *diagonal,
+                  const int *order, int n)
 {
     for (int k = 0; k < n; k++) {
         const int row = order[k];
         pivot[row] = m[row * n + row];
-        if (td_symbol_is_constant(g, pivot[row]) && !(g->node[pivot[row]].value > 0)) return false;
+        if (g->failed) return true;
+        if (is_nothing(g, pivot[row], diagonal[row])) return false;
         const td_symbol inverse = td_symbol_divide(g, 1, pivot[row]);
         for (int i = k + 1; i < n; i++) {
             const int below = order[i];
@@ -79,7 +89,7 @@ bool td_write_forward(td_writing *w, td_symbol *acceleration, td_symbol *pivot, 
     td_write_mass(w, mass);
     for (int i = 0; i < n; i++) diagonal[i] = mass[i * n + i];
     choose_order(order, n, from_base);
-    const bool regular = solve(g, mass, acceleration, pivot, order, n);
+    const bool regular = solve(g, mass, acceleration, pivot, diagonal, order, n);
     td_symbol3 alpha = {{acceleration[0], acceleration[1], acceleration[2]}};
     td_symbol3 a = {{acceleration[3], acceleration[4], acceleration[5]}};
     td_write_from_pivot(w, &alpha, &a);

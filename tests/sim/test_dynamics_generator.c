@@ -17,6 +17,12 @@
 
 static const double TOLERANCE = 1e-10;
 
+static bool full_count(void)
+{
+    const char *full = getenv("TELEDIMOS_FULL");
+    return full && strcmp(full, "1") == 0;
+}
+
 static td_robot *read_zx200(void)
 {
     td_robot *robot;
@@ -86,12 +92,11 @@ static void compare(const td_dynamics *made, const td_robot *robot, int states, 
 static void test_zx200(void **state)
 {
     (void)state;
-    const char *full = getenv("TELEDIMOS_FULL");
     td_robot *robot = read_zx200();
     td_dynamics *made;
     td_error error;
     check_ok(td_dynamics_zx200(&made, robot, &error), error);
-    compare(made, robot, full && strcmp(full, "1") == 0 ? 10000 : 1000, 1);
+    compare(made, robot, full_count() ? 10000 : 1000, 1);
     td_dynamics_free(&made);
     td_robot_free(&robot);
 }
@@ -136,9 +141,9 @@ static void test_random_trees(void **state)
 static void test_small_trees(void **state)
 {
     choose_compiler("cc -O0");
-    for (uint64_t seed = 0; seed < 6; seed++) {
-        td_robot *robot =
-            random_robot(100 + seed, (robot_kind){3, seed % 2 ? 0.4 : 0.1, 0.3, 0.1, seed % 3 ? 0.9 : 0.4});
+    for (uint64_t seed = 0; seed < (full_count() ? 60 : 6); seed++) {
+        td_robot *robot = random_robot(100 + seed, (robot_kind){3 + (int)(seed / 20), seed % 2 ? 0.4 : 0.1,
+                                                                0.3, 0.1, seed % 3 ? 0.9 : 0.4});
         compare_compiled(robot, *state, 20);
         free(robot);
     }
