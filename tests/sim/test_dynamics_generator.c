@@ -122,7 +122,6 @@ static void test_random_trees(void **state)
 {
     static const robot_kind kinds[] = {
         {.joints = 7, .aligned = 1},
-        {.joints = 8, .prismatic = 0.3, .branch = 0.3, .aligned = 1},
         {.joints = 12, .prismatic = 0.2, .branch = 0.5, .fixed = 0.2, .aligned = 0.8},
         {.joints = 3, .prismatic = 0.3},
         {.joints = 1},
