@@ -148,5 +148,6 @@ int main(int argc, char **argv)
     bench_vehicle(&b);
     bench_match(&b);
     bench_tin(&b);
+    bench_dynamics(&b);
     return 0;
 }
