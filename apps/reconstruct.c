@@ -185,6 +185,7 @@ int main(int argc, char **argv)
                            .log = &j.log};
     how.dense.method = strcmp(method, "opencv") == 0 ? TD_DENSE_OPENCV : TD_DENSE_OURS;
     how.dense.levels = levels;
+    how.dense.refine = true;
     how.dense.threads = how.fusion.threads = common.threads;
     how.fusion.cell_m = cell_m;
     how.fusion.believe_frames = believe;

@@ -20,7 +20,7 @@ td_dense_options td_dense_options_default(void)
                               .fill = true,
                               .left_check = true,
                               .coarse_to_fine = true,
-                              .refine = true,
+
                               .speckle = 50};
 }
 

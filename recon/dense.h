@@ -43,8 +43,9 @@ typedef struct td_dense_options {
     bool fill;           /* default true */
     bool left_check;     /* default true */
     bool coarse_to_fine; /* ranges per tile from half the size; default: where it pays (96 levels and more) */
-    bool refine; /* matched disparities by the grey values themselves, to a small fraction of a pixel; default
-                    true */
+    bool refine; /* matched disparities by the grey values themselves: to a tenth of a pixel also on slopes
+                    such as ground seen from aside, where the paths lag behind. Takes as long as the matching;
+                    default false */
     int speckle; /* areas of fewer pixels that differ from all around are taken out; default 50; 0: none */
     int threads; /* 0: one per processor; the result does not depend on it */
     const td_progress *progress;
