@@ -25,6 +25,7 @@ typedef struct td_cloud {
     uint32_t (*triangle)[3];
 } td_cloud;
 
+/* All points at the origin, grey, of unknown sigma; corners of triangles 0. At most 2^32 - 1 of each. */
 TD_API td_status td_cloud_new(td_cloud **cloud, size_t count, size_t triangle_count, td_error *error);
 TD_API void td_cloud_free(td_cloud **cloud);
 /* PLY. `comment` (may be NULL) goes into its header: the frame, the unit. Reading takes binary (both orders)
@@ -32,6 +33,9 @@ TD_API void td_cloud_free(td_cloud **cloud);
 TD_API td_status td_cloud_write_ply(const td_cloud *cloud, const char *path, const char *comment,
                                     td_error *error);
 TD_API td_status td_cloud_read_ply(td_cloud **cloud, const char *path, td_error *error);
+/* The same from memory; `name` is for messages. */
+TD_API td_status td_cloud_parse_ply(td_cloud **cloud, const void *bytes, size_t size, const char *name,
+                                    td_error *error);
 
 #ifdef __cplusplus
 }

@@ -47,8 +47,9 @@ TD_API td_status td_elevation_new(td_elevation **map, int columns, int rows, dou
 TD_API td_status td_elevation_copy(td_elevation **copy, const td_elevation *map, td_error *error);
 TD_API void td_elevation_free(td_elevation **map);
 
-/* Height at (x, y), bilinear between the four cells around; NaN outside or beside an unknown cell. `sigma`
- * (may be NULL) is the largest of the four. */
+/* Height at (x, y), bilinear between the four cells around; NaN beside an unknown cell and outside the
+ * rectangle of the cells' centres. `sigma` (may be NULL) is the largest of the four, NaN when one is not
+ * known. */
 TD_API double td_elevation_at(const td_elevation *map, double x, double y, double *sigma);
 
 /* GeoTIFF, whole or not at all. A foreign GeoTIFF of one band is a height map whose sigma is unknown; its

@@ -31,9 +31,11 @@ TD_API void td_pair_fundamental(double f[9], const td_pair *pair);
 TD_API bool td_pair_transfer(double right[2], double *d_inverse_depth, double *d_left, const td_pair *pair,
                              const double left[2], double depth);
 
-/* Signed distance, px, of `right` from the epipolar curve of `left`, and `along` (px, may be NULL) unit
- * vector of the curve there. d_parameter (1, td_rig_parameter_count) its derivative by the rig's parameters
- * in the covariance's order (may be NULL). False where undefined. */
+/* Signed distance, px, of `right` from the epipolar curve of `left`, and `along` (may be NULL) unit vector of
+ * the curve at its nearest point, towards farther points. Positive on the side of (-along[1], along[0]):
+ * below the curve for two cameras side by side, the right one at the right. d_parameter (1,
+ * td_rig_parameter_count) its derivative by the rig's parameters in the covariance's order (may be NULL).
+ * False where undefined. */
 TD_API bool td_pair_residual(double *distance, double along[2], double *d_parameter, const td_pair *pair,
                              const double left[2], const double right[2]);
 /* Standard deviation, px, of that distance from the rig's covariance alone; NaN where the rig has none. */

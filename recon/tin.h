@@ -19,8 +19,9 @@ TD_API td_status td_tin_triangulate(uint32_t (**triangles)[3], size_t *count, co
 
 /* Cells whose centre lies in a triangle get its height, linear between the corners, and its sigma: from the
  * corners' joint covariance (3n,3n) of x, y, z when given (slope included), else from `sigma_z` (n) taken as
- * independent, else NaN. Others stay as they are. Triangles with a side longer than `longest_m` (0: any) are
- * left out. Provenance: TD_CELL_MEASURED where a point lies in the cell, else TD_CELL_FILLED. */
+ * independent, else NaN. Others stay as they are. Triangles with a side longer than `longest_m` in plan (0:
+ * any) are left out. Provenance: TD_CELL_MEASURED where points lie in the cell (their number in `count`),
+ * else TD_CELL_FILLED. Time: NaN. Refused: corners that are no points, numbers that are none. */
 TD_API td_status td_tin_grid(td_elevation *map, const double (*xyz)[3], size_t point_count,
                              const uint32_t (*triangles)[3], size_t triangle_count, const double *covariance,
                              const double *sigma_z, double longest_m, td_error *error);

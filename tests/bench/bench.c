@@ -142,5 +142,6 @@ int main(int argc, char **argv)
     bench_hand_eye(&b);
     bench_next_view(&b);
     bench_tags(&b);
+    bench_tin(&b);
     return 0;
 }

@@ -71,6 +71,17 @@ typedef struct bench_corners {
 } bench_corners;
 void bench_opencv_corners(void *corners);
 
+/* bench_tin.c */
+void bench_tin(const bench *b);
+
+/* bench_tin_cgal.cpp: CGAL alone on the same points. */
+typedef struct bench_points {
+    const double *xyz; /* (count,3) m */
+    size_t count;
+    size_t triangles; /* out */
+} bench_points;
+void bench_cgal_delaunay(void *points);
+
 /* bench_tags.c */
 void bench_tags(const bench *b);
 

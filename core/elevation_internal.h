@@ -1,0 +1,51 @@
+/* What elevation_file.c and the module behind GDAL share. */
+#ifndef TELEDIMOS_CORE_ELEVATION_INTERNAL_H
+#define TELEDIMOS_CORE_ELEVATION_INTERNAL_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+#include "core/status.h"
+
+/* The module: what it needs of GDAL, whose libraries take 0.2 s to load. It is opened when asked for and
+ * stays. Reasons are texts of the module. */
+#define TD_RASTER_MODULE "libteledimos_core_raster.so"
+#define TD_RASTER_FUNCTION "td_raster_module_get"
+
+enum { TD_RASTER_REASON_SIZE = 512 };
+
+typedef struct td_raster_info {
+    int columns, rows, bands;
+    bool has_transform;
+    double transform[6]; /* GDAL's: x = t0 + t1 column + t2 row, y = t3 + t4 column + t5 row, of corners */
+    const char *crs;     /* "EPSG:32632" or WKT; NULL: none. Reading: lent until close */
+    bool degrees;        /* reading: coordinates are angles */
+    double unit_m;       /* reading: of the coordinates; 1 without a crs */
+} td_raster_info;
+
+/* False with a reason: failed. Rows are the file's: the first is at the top. Bands count from 1. */
+typedef struct td_raster_module {
+    /* A GeoTIFF that is there. */
+    bool (*open)(void **raster, td_raster_info *info, const char *path, char reason[TD_RASTER_REASON_SIZE]);
+    /* The band described so; 0: none. */
+    int (*find)(void *raster, const char *description);
+    /* Of the file, lent until close; NULL: none. */
+    const char *(*note)(void *raster, const char *key);
+    /* Scale and offset applied, NaN where masked or nodata. */
+    bool (*read_row)(double *value, void *raster, int band, int row, char reason[TD_RASTER_REASON_SIZE]);
+    void (*close)(void *raster);
+
+    /* In memory, of double bands, nodata NaN. */
+    bool (*create)(void **raster, const td_raster_info *info, char reason[TD_RASTER_REASON_SIZE]);
+    bool (*set_note)(void *raster, const char *key, const char *value);
+    bool (*set_band)(void *raster, int band, const char *description, const char *unit);
+    bool (*write_row)(const double *value, void *raster, int band, int row,
+                      char reason[TD_RASTER_REASON_SIZE]);
+    /* As cloud-optimised GeoTIFF; *bytes to be freed with free_bytes. */
+    bool (*encode)(unsigned char **bytes, size_t *size, void *raster, char reason[TD_RASTER_REASON_SIZE]);
+    void (*free_bytes)(unsigned char *bytes);
+} td_raster_module;
+
+typedef const td_raster_module *td_raster_module_get_function(void);
+
+#endif

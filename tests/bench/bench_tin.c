@@ -1,0 +1,48 @@
+/* Delaunay triangles of random points at UTM's coordinates: what our wall around CGAL costs (numbers
+ * checked, indices, triangles sorted). Beside the times stand the numbers of triangles, which must agree. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/random.h"
+#include "recon/tin.h"
+#include "tests/bench/bench.h"
+
+static void run_ours(void *user)
+{
+    bench_points *in = user;
+    uint32_t(*t)[3] = NULL;
+    td_error error = {0};
+    if (td_tin_triangulate(&t, &in->triangles, (const double(*)[3])in->xyz, in->count, &error) != TD_OK)
+        fprintf(stderr, "%s\n", error.message);
+    free(t);
+}
+
+static void row(const bench *b, const char *name, size_t count, int runs)
+{
+    td_random random = td_random_seed(1, 1);
+    bench_points in = {.count = count};
+    if (!bench_wanted(b, name)) return;
+    double *xyz = malloc(3 * count * sizeof *xyz);
+    for (size_t i = 0; xyz && i < 3 * count; i++)
+        xyz[i] = (i % 3 == 0 ? 691000 : i % 3 == 1 ? 5334000 : 0) + 100 * td_random_uniform(&random);
+    in.xyz = xyz;
+    bench_row r = {
+        .name = name, .unit = "ms", .peer_name = "CGAL alone", .runs = runs, .error_unit = "triangles"};
+    if (xyz) {
+        r.ours = 1e3 * bench_time(run_ours, &in, runs);
+        r.error_ours = (double)in.triangles;
+        r.peer = 1e3 * bench_time(bench_cgal_delaunay, &in, runs);
+        r.error_peer = (double)in.triangles;
+        bench_print(b, &r);
+    }
+    free(xyz);
+}
+
+void bench_tin(const bench *b)
+{
+    const char *full = getenv("TELEDIMOS_FULL");
+    row(b, "tin, 100k points", 100000, 5);
+    if (full && !strcmp(full, "1")) row(b, "tin, 1M points", 1000000, 3);
+}
