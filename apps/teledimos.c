@@ -16,6 +16,7 @@ static const struct {
     {"compare", "compare two rigs: difference over the images, with its significance"},
     {"hand-eye", "where the cameras sit on a robot, with how far to trust it"},
     {"rectify", "turn stereo pairs so that rows match rows"},
+    {"render", "draw what a rig's cameras see of a scene"},
     {"convert", "turn a rig into the files of another tool, or those into a rig"},
     {"target", "print a calibration target at true scale"},
 };

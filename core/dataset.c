@@ -254,7 +254,8 @@ static td_status parse_description(td_dataset *d, places *p, const td_field *roo
     td_field expect = td_field_get(root, "expect"), folder = td_field_get(root, "root");
     td_field frames = td_field_get(root, "frames"), corners = td_field_get(root, "corners");
     bool poses_only = td_field_get(root, "target_poses").value != NULL;
-    if (target.value || !poses_only) TD_TRY(td_target_parse(&d->target, &target, error));
+    bool calibrated = td_field_get(root, "rig").value != NULL;
+    if (target.value || !(poses_only || calibrated)) TD_TRY(td_target_parse(&d->target, &target, error));
     if (cameras.value || !poses_only) TD_TRY(parse_cameras(d, &cameras, error));
     TD_TRY(parse_expectation(d, &expect, error));
     const char *table = FRAMES;

@@ -7,6 +7,8 @@
 #ifndef TELEDIMOS_SIM_STEREO_VIEW_H
 #define TELEDIMOS_SIM_STEREO_VIEW_H
 
+#include <stdint.h>
+
 #include "../core/rig.h"
 #include "../core/scene.h"
 
@@ -15,7 +17,8 @@ extern "C" {
 #endif
 
 typedef struct td_view_options {
-    int samples;         /* rays along a pixel's side: n x n per pixel; default 2 */
+    int samples; /* n x n rays for a pixel that holds an edge or a picture, 1 to 8; default 3. Elsewhere one
+                    suffices: grain finer than the pixel is left out */
     double blur_px;      /* standard deviation; default 0.6 */
     double vignetting;   /* 0: none, 1: cos^4; default 0.5 */
     double gain, offset; /* grey = gain * light * 255 + offset; default 1, 0 */
@@ -39,14 +42,17 @@ typedef enum td_view_what {
     TD_SEES_ROBOT
 } td_view_what;
 
-/* A scene made ready for rays (pyramid over the ground, boxes around bodies). Borrows the scene; after the
- * ground's cells have changed in a rectangle, td_stereo_view_update brings it up to date. */
+/* A scene made ready for rays (pyramid over the ground, boxes around bodies). Borrows the scene. After the
+ * ground's cells have changed in a rectangle, td_stereo_view_update brings it up to date; after the robot or
+ * its vehicle has moved, td_stereo_view_move; after solids or fixed pictures have, a new one is needed. */
 typedef struct td_stereo_view td_stereo_view;
 TD_API td_status td_stereo_view_new(td_stereo_view **view, const td_scene *scene, td_error *error);
 TD_API void td_stereo_view_update(td_stereo_view *view, int column, int row, int columns, int rows);
+TD_API td_status td_stereo_view_move(td_stereo_view *view, td_error *error);
 TD_API void td_stereo_view_free(td_stereo_view **view);
 
-/* One camera's view. */
+/* One camera's view. Several threads may render from one view object at a time. The directions of a camera's
+ * pixels are made at its first view and kept (12 bytes a pixel). */
 TD_API td_status td_stereo_view_render(td_view **out, const td_stereo_view *view, const td_rig *rig,
                                        int camera, const td_pose *site_from_rig, uint64_t frame,
                                        const td_view_options *options, td_error *error);
