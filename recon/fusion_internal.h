@@ -111,10 +111,9 @@ typedef struct td_frame_point {
 typedef struct td_frame_cell {
     double weight, weight2, x, y, z; /* sums; x, y, z weighted, then their means */
     double residual;                 /* m^2, weighted sum of squares off the plane */
-    double slope[2];
+    double slope[2], slope_variance; /* of each */
     uint32_t count;
     uint16_t cell;
-    bool sloped; /* the slope is known */
 } td_frame_cell;
 
 typedef struct td_frame_tile {

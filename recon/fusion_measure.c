@@ -87,6 +87,34 @@ static const td_frame_cell *neighbour(const td_frame_cells *c, const td_frame_ti
     return slot ? &tile->cell[slot - 1] : NULL;
 }
 
+/* From the camera (site's axes, m) to the cell's mean, and the same as the camera sees it. */
+static void way_to(double way[3], double seen[3], const td_frame_cell *cell, const td_frame_cells *c,
+                   const td_frame_tile *tile)
+{
+    const double side = c->fusion->options.cell_m, *from = c->site_from_camera.t;
+    way[0] = (tile->x * TD_TILE_SIDE + cell->cell % TD_TILE_SIDE) * side + cell->x - from[0];
+    way[1] = (tile->y * TD_TILE_SIDE + cell->cell / TD_TILE_SIDE) * side + cell->y - from[1];
+    way[2] = cell->z;
+    for (int i = 0; i < 3; i++)
+        seen[i] = c->to_site[i] * way[0] + c->to_site[3 + i] * way[1] + c->to_site[6 + i] * way[2];
+}
+
+/* Share of a point's variance that its cell's mean has. */
+static double averaged(const td_frame_cell *cell, const td_frame_cells *c)
+{
+    return td_mean_variance(cell->weight * cell->weight / cell->weight2, c->fusion->options.correlation_px);
+}
+
+/* Variance of the means' heights, on level ground, against one another: cells nearer in the image than the
+ * errors' correlation share the more of them the nearer they are. */
+static double mean_variance(const td_frame_cell *cell, const td_frame_cells *c, const td_frame_tile *tile)
+{
+    double way[3], seen[3];
+    way_to(way, seen, cell, c, tile);
+    const double along = way[2] / seen[2], apart = sqrt(cell->count) / c->fusion->options.correlation_px;
+    return along * along * cell->count / cell->weight * averaged(cell, c) * fmin(1, apart);
+}
+
 static void find_slope(td_frame_cell *cell, const td_frame_cells *c, const td_frame_tile *tile)
 {
     const int column = cell->cell % TD_TILE_SIDE, row = cell->cell / TD_TILE_SIDE;
@@ -105,12 +133,17 @@ static void find_slope(td_frame_cell *cell, const td_frame_cells *c, const td_fr
     xx -= x * x / n, xy -= x * y / n, yy -= y * y / n;
     xz -= x * z / n, yz -= y * z / n;
     const double det = xx * yy - xy * xy;
-    cell->sloped = n >= 3 && det > 0.05 * side * side * side * side; /* three cells of an L have a third */
-    for (int i = 0; i < 2; i++) cell->slope[i] = 0;
-    if (!cell->sloped) return;
-    const double g[2] = {(yy * xz - xy * yz) / det, (xx * yz - xy * xz) / det};
-    const double length = hypot(g[0], g[1]), held = length > STEEPEST ? STEEPEST / length : 1;
+    double g[2] = {0, 0}, noise = INFINITY;
+    if (n >= 3 && det > 0.05 * side * side * side * side) { /* three cells of an L have a third */
+        g[0] = (yy * xz - xy * yz) / det;
+        g[1] = (xx * yz - xy * xz) / det;
+        noise = mean_variance(cell, c, tile) * fmax(xx, yy) / det;
+    }
+    const double ground = UNKNOWN_SLOPE * UNKNOWN_SLOPE;
+    const double trust = ground / (ground + noise), length = trust * hypot(g[0], g[1]);
+    const double held = trust * (length > STEEPEST ? STEEPEST / length : 1);
     for (int i = 0; i < 2; i++) cell->slope[i] = held * g[i];
+    cell->slope_variance = ground * (1 - trust);
 }
 
 /* ---- measurements ---- */
@@ -132,43 +165,47 @@ double td_frame_pose_variance(const td_frame_cells *c, const double p[3], const 
     return fmax(variance, 0);
 }
 
-/* Standard deviation of the height by the calibration; 0 where the rig has no covariance. */
-static double calibration(const td_frame_cells *c, const double seen[3], const double up[3])
+static double form(const double s[6], const double v[3])
+{
+    return v[0] * v[0] * s[0] + v[1] * v[1] * s[3] + v[2] * v[2] * s[5] +
+           2 * (v[0] * v[1] * s[1] + v[0] * v[2] * s[2] + v[1] * v[2] * s[4]);
+}
+
+/* Standard deviation of the height by the calibration, what is not known of the slope included; 0 where the
+ * rig has no covariance. */
+static double calibration(const td_frame_cells *c, const double seen[3], const double up[3],
+                          double slope_variance)
 {
     const td_depth_camera *camera = c->frame->camera;
-    double s[6], v[3];
+    double s[6], v[3], vertical[3];
     td_depth_error_at(s, camera, camera->cx + camera->f * seen[0] / seen[2],
                       camera->cy + camera->f * seen[1] / seen[2], seen[2]);
     if (isnan(s[0])) return 0;
-    for (int i = 0; i < 3; i++) v[i] = dot(c->rig_from_site + 3 * i, up);
-    const double variance = v[0] * v[0] * s[0] + v[1] * v[1] * s[3] + v[2] * v[2] * s[5] +
-                            2 * (v[0] * v[1] * s[1] + v[0] * v[2] * s[2] + v[1] * v[2] * s[4]);
-    return sqrt(fmax(variance, 0));
+    for (int i = 0; i < 3; i++) {
+        v[i] = dot(c->rig_from_site + 3 * i, up);
+        vertical[i] = c->rig_from_site[3 * i + 2];
+    }
+    const double level = s[0] + s[3] + s[5] - form(s, vertical); /* variances along x and y of the site */
+    return sqrt(fmax(form(s, v) + slope_variance * level, 0));
 }
 
 static td_measure measure(const td_frame_cells *c, const td_frame_tile *tile, const td_frame_cell *cell)
 {
-    const td_fusion_options *o = &c->fusion->options;
-    const int32_t column = tile->x * TD_TILE_SIDE + cell->cell % TD_TILE_SIDE;
-    const int32_t row = tile->y * TD_TILE_SIDE + cell->cell / TD_TILE_SIDE;
     const double *from = c->site_from_camera.t, up[3] = {-cell->slope[0], -cell->slope[1], 1};
-    const double p[3] = {column * o->cell_m + cell->x, row * o->cell_m + cell->y, from[2] + cell->z};
-    const double way[3] = {p[0] - from[0], p[1] - from[1], cell->z};
-    double seen[3];
-    for (int i = 0; i < 3; i++)
-        seen[i] = c->to_site[i] * way[0] + c->to_site[3 + i] * way[1] + c->to_site[6 + i] * way[2];
-    const double along = dot(up, way) / seen[2];
-    const double one = along * along * cell->count / cell->weight; /* variance of one point's height */
-    const double effective = cell->weight * cell->weight / cell->weight2;
-    const double matching = one * td_mean_variance(effective, o->correlation_px) + LEAST_VARIANCE;
+    double way[3], seen[3];
+    way_to(way, seen, cell, c, tile);
+    const double p[3] = {from[0] + way[0], from[1] + way[1], from[2] + way[2]};
+    const double along = dot(up, way) / seen[2], depth = cell->count / cell->weight;
+    const double sideways = cell->slope_variance * (way[0] * way[0] + way[1] * way[1]) / (seen[2] * seen[2]);
+    const double one = (along * along + sideways) * depth; /* variance of one point's height */
+    const double matching = one * averaged(cell, c) + LEAST_VARIANCE;
     const double scatter = fmax(0, cell->residual / cell->weight - EXPECTED_SCATTER * one);
-    const double off =
-        cell->sloped ? 0 : UNKNOWN_SLOPE * UNKNOWN_SLOPE * (cell->x * cell->x + cell->y * cell->y);
+    const double off = cell->slope_variance * (cell->x * cell->x + cell->y * cell->y);
     const double pose = td_frame_pose_variance(c, p, up);
     return (td_measure){.height = from[2] + cell->z - cell->slope[0] * cell->x - cell->slope[1] * cell->y,
                         .noise = matching + scatter + off + pose,
-                        .repeated = o->repeat_share * matching + scatter + off + pose,
-                        .common = calibration(c, seen, up),
+                        .repeated = c->fusion->options.repeat_share * matching + scatter + off + pose,
+                        .common = calibration(c, seen, up, cell->slope_variance),
                         .place = c->place,
                         .count = cell->count,
                         .time_s = c->frame->time_s};
