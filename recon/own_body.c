@@ -101,33 +101,47 @@ static double by_pose(const double *covariance, const double p[3])
     return sqrt(fmax(value[2], 0));
 }
 
+void td_own_motion_begin(td_own_motion *m, const td_robot *robot, const double *q,
+                         const td_own_body_options *options)
+{
+    m->robot = robot;
+    m->options = options;
+    m->carrier = rigid_root(robot, options->mount);
+    td_robot_forward(m->root_from_link, robot, q);
+    memset(m->mount, 0, sizeof m->mount);
+    if (options->mount >= 0) td_robot_jacobian(m->mount, robot, m->root_from_link, options->mount);
+}
+
+bool td_own_motion_looked_for(const td_own_motion *m, int link)
+{
+    return m->carrier < 0 || rigid_root(m->robot, link) != m->carrier;
+}
+
+double td_own_motion_growth(const td_own_motion *m, int link, const td_primitive *shape)
+{
+    const td_own_body_options *o = m->options;
+    const size_t joints = (size_t)m->robot->joint_count;
+    double by[6 * TD_ROBOT_MAX_JOINTS], corner[8][3], most = 0;
+    td_robot_jacobian(by, m->robot, m->root_from_link, link);
+    for (size_t k = 0; k < 6 * joints; k++) by[k] -= m->mount[k];
+    corners_of(corner, shape, &m->root_from_link[link]);
+    for (int c = 0; c < 8; c++)
+        most =
+            fmax(most, by_joints(by, joints, o->sigma_q, corner[c]) + by_pose(o->pose_covariance, corner[c]));
+    return o->margin_m + o->times_sigma * most;
+}
+
 void td_own_body_growth(double *grown_m, const td_robot *robot, const double *q,
                         const td_own_body_options *options)
 {
     const td_own_body_options standard = td_own_body_options_default();
-    if (!options) options = &standard;
-    enum { MOST = 6 * TD_ROBOT_MAX_JOINTS };
-    const size_t joints = (size_t)robot->joint_count;
-    td_pose root_from_link[TD_ROBOT_MAX_LINKS];
-    double mount[MOST] = {0}, by[MOST];
-    const int carrier = rigid_root(robot, options->mount);
-    td_robot_forward(root_from_link, robot, q);
-    if (options->mount >= 0) td_robot_jacobian(mount, robot, root_from_link, options->mount);
+    td_own_motion motion;
+    td_own_motion_begin(&motion, robot, q, options ? options : &standard);
     for (int i = 0; i < robot->link_count; i++) {
-        const td_robot_link *link = &robot->link[i];
-        grown_m[i] = carrier >= 0 && rigid_root(robot, i) == carrier ? (double)NAN : options->margin_m;
+        grown_m[i] = td_own_motion_looked_for(&motion, i) ? motion.options->margin_m : (double)NAN;
         if (isnan(grown_m[i])) continue;
-        td_robot_jacobian(by, robot, root_from_link, i);
-        for (size_t k = 0; k < 6 * joints; k++) by[k] -= mount[k];
-        double most = 0;
-        for (int k = 0; k < link->shape_count; k++) {
-            double corner[8][3];
-            corners_of(corner, &link->shape[k], &root_from_link[i]);
-            for (int c = 0; c < 8; c++)
-                most = fmax(most, by_joints(by, joints, options->sigma_q, corner[c]) +
-                                      by_pose(options->pose_covariance, corner[c]));
-        }
-        grown_m[i] += options->times_sigma * most;
+        for (int k = 0; k < robot->link[i].shape_count; k++)
+            grown_m[i] = fmax(grown_m[i], td_own_motion_growth(&motion, i, &robot->link[i].shape[k]));
     }
 }
 

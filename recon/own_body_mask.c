@@ -7,7 +7,8 @@
 #include "recon/own_body.h"
 #include "recon/own_body_internal.h"
 
-enum { BLOCK = 8 };
+enum { BLOCK = 8, MOST_PIECES = 8 };
+static const double PIECE = 0.5; /* m */
 
 /* A grown primitive and the camera's centre, in the primitive's frame. */
 typedef struct target {
@@ -106,6 +107,36 @@ static void mask_target(uint8_t *mask, const td_camera *camera, const target *t)
                 mask_block(mask, camera, t, x, y);
 }
 
+/* Piece `index` of `count` along the longest side; a capsule's pieces are capsules. */
+static td_primitive piece_of(const td_primitive *shape, int axis, int index, int count)
+{
+    td_primitive piece = *shape;
+    double *length = &piece.size[shape->kind == TD_PRIMITIVE_BOX ? axis : 1];
+    double centre[3] = {0, 0, 0};
+    centre[axis] = *length * ((index + 0.5) / count - 0.5);
+    *length /= count;
+    td_pose_transform(piece.link_from_shape.t, &shape->link_from_shape, centre);
+    return piece;
+}
+
+static void mask_shape(uint8_t *mask, const td_camera *camera, const td_own_motion *motion,
+                       const td_pose *camera_from_link, int link, const td_primitive *shape)
+{
+    int axis = 2;
+    for (int i = 0; i < 2 && shape->kind == TD_PRIMITIVE_BOX; i++)
+        if (shape->size[i] > shape->size[axis]) axis = i;
+    const double length = shape->kind == TD_PRIMITIVE_BOX       ? shape->size[axis]
+                          : shape->kind == TD_PRIMITIVE_CAPSULE ? shape->size[1]
+                                                                : 0;
+    const int count = (int)fmin(fmax(ceil(length / PIECE), 1), MOST_PIECES);
+    for (int i = 0; i < count; i++) {
+        const td_primitive piece = piece_of(shape, axis, i, count);
+        const target t =
+            target_of(&piece, camera_from_link, td_own_motion_growth(motion, link, &piece), camera);
+        mask_target(mask, camera, &t);
+    }
+}
+
 td_status td_own_body_mask(uint8_t *mask, const td_camera *camera, const td_pose *camera_from_vehicle,
                            const td_robot *robot, const double *q, const td_own_body_options *options,
                            td_error *error)
@@ -117,17 +148,13 @@ td_status td_own_body_mask(uint8_t *mask, const td_camera *camera, const td_pose
         return td_fail(error, TD_ERROR_ARGUMENT,
                        "the camera is a %s: masks are of rectified images, pinholes",
                        td_camera_model_name(camera->model));
-    td_pose vehicle_from_link[TD_ROBOT_MAX_LINKS];
-    double grown[TD_ROBOT_MAX_LINKS];
-    td_robot_forward(vehicle_from_link, robot, q);
-    td_own_body_growth(grown, robot, q, options);
+    td_own_motion motion;
+    td_own_motion_begin(&motion, robot, q, options);
     memset(mask, 0, (size_t)camera->width * (size_t)camera->height);
     for (int i = 0; i < robot->link_count; i++) {
-        const td_pose camera_from_link = td_pose_compose(camera_from_vehicle, &vehicle_from_link[i]);
-        for (int k = 0; !isnan(grown[i]) && k < robot->link[i].shape_count; k++) {
-            const target t = target_of(&robot->link[i].shape[k], &camera_from_link, grown[i], camera);
-            mask_target(mask, camera, &t);
-        }
+        const td_pose camera_from_link = td_pose_compose(camera_from_vehicle, &motion.root_from_link[i]);
+        for (int k = 0; td_own_motion_looked_for(&motion, i) && k < robot->link[i].shape_count; k++)
+            mask_shape(mask, camera, &motion, &camera_from_link, i, &robot->link[i].shape[k]);
     }
     return TD_OK;
 }

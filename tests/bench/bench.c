@@ -140,6 +140,7 @@ int main(int argc, char **argv)
     bench_boards(&b);
     bench_charuco(&b);
     bench_hand_eye(&b);
+    bench_map(&b);
     bench_next_view(&b);
     bench_tags(&b);
     bench_tin(&b);

@@ -49,6 +49,8 @@ void bench_charuco(const bench *b);
 
 /* bench_calibrate.c */
 void bench_calibrate(const bench *b);
+/* bench_map.c */
+void bench_map(const bench *b);
 /* bench_next_view.c */
 void bench_next_view(const bench *b);
 
