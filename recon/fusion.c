@@ -1,12 +1,12 @@
 #include "recon/fusion.h"
 
+#include <ctype.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "core/file.h"
 #include "core/parallel.h"
-#include "core/text_internal.h"
 #include "recon/fusion_internal.h"
 
 enum { MOST_BELIEVE = 255, FARTHEST_CELL = 1 << 30 };
@@ -41,6 +41,14 @@ static td_status check_region(const td_fusion_options *o, td_error *error)
     return TD_OK;
 }
 
+/* As elevation maps ask of the names of their frames. */
+static bool is_name(const char name[TD_NAME_SIZE])
+{
+    size_t n = 0;
+    while (n < TD_NAME_SIZE && (isalnum((unsigned char)name[n]) || name[n] == '-' || name[n] == '_')) n++;
+    return n > 0 && n < TD_NAME_SIZE && name[n] == 0;
+}
+
 td_status td_fusion_options_check(const td_fusion_options *o, td_error *error)
 {
     const size_t tile = TD_TILE_CELLS * sizeof(td_cell);
@@ -60,7 +68,7 @@ td_status td_fusion_options_check(const td_fusion_options *o, td_error *error)
     if (o->memory_bytes < tile)
         return td_fail(error, TD_ERROR_ARGUMENT, "memory_bytes: one tile takes %zu, not %zu", tile,
                        o->memory_bytes);
-    if (!td_name_is_plain(o->frame))
+    if (!is_name(o->frame))
         return td_fail(error, TD_ERROR_ARGUMENT, "frame: must be a name of 1 to %d letters, digits, - and _",
                        TD_NAME_SIZE - 1);
     return check_region(o, error);

@@ -75,7 +75,7 @@ static void compare_images(int channels)
     }
     print_message("%d channels, 2 x 800x600: %.2f ms by tables, %.0f ms exactly\n", channels, 1e3 * best,
                   1e3 * exact);
-    check_less(4 * best, exact);
+    check_less(2 * best, exact);
     td_depth_camera_free(&camera);
     td_rig_free(&rig);
 }
