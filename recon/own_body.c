@@ -14,6 +14,7 @@
 
 #include "core/linalg.h"
 #include "core/parallel.h"
+#include "recon/depth_points_internal.h"
 #include "recon/own_body_internal.h"
 
 td_own_body_options td_own_body_options_default(void)
@@ -163,49 +164,89 @@ static double distance(const td_primitive *shape, const double p[3])
     return sqrt(p[0] * p[0] + p[1] * p[1] + along * along) - shape->size[0];
 }
 
+/* A grown primitive, ready for many points. */
+typedef struct body {
+    td_primitive shape;
+    td_pose shape_from_vehicle;
+    double grown_m, centre[3], reach; /* a ball that holds it, grown */
+} body;
+
+static body body_of(const td_primitive *shape, const td_pose *vehicle_from_link, double grown_m)
+{
+    const td_pose vehicle_from_shape = td_pose_compose(vehicle_from_link, &shape->link_from_shape);
+    const double *size = shape->size;
+    body b = {
+        .shape = *shape, .shape_from_vehicle = td_pose_inverse(&vehicle_from_shape), .grown_m = grown_m};
+    memcpy(b.centre, vehicle_from_shape.t, sizeof b.centre);
+    b.reach = grown_m;
+    if (shape->kind == TD_PRIMITIVE_BOX)
+        b.reach += sqrt(size[0] * size[0] + size[1] * size[1] + size[2] * size[2]) / 2;
+    else
+        b.reach += size[0] + (shape->kind == TD_PRIMITIVE_CAPSULE ? size[1] / 2 : 0);
+    return b;
+}
+
+static bool holds(const body *b, const double p[3])
+{
+    const double off[3] = {p[0] - b->centre[0], p[1] - b->centre[1], p[2] - b->centre[2]};
+    if (off[0] * off[0] + off[1] * off[1] + off[2] * off[2] > b->reach * b->reach) return false;
+    double in_shape[3];
+    td_pose_transform(in_shape, &b->shape_from_vehicle, p);
+    return distance(&b->shape, in_shape) <= b->grown_m;
+}
+
 bool td_own_body_holds(const double p[3], const td_robot *robot, const td_pose *vehicle_from_link,
                        const double *grown_m)
 {
-    for (int i = 0; i < robot->link_count; i++) {
-        const td_robot_link *link = &robot->link[i];
-        if (isnan(grown_m[i]) || link->shape_count == 0) continue;
-        const td_pose link_from_vehicle = td_pose_inverse(&vehicle_from_link[i]);
-        double in_link[3];
-        td_pose_transform(in_link, &link_from_vehicle, p);
-        for (int k = 0; k < link->shape_count; k++) {
-            const td_pose shape_from_link = td_pose_inverse(&link->shape[k].link_from_shape);
-            double in_shape[3];
-            td_pose_transform(in_shape, &shape_from_link, in_link);
-            if (distance(&link->shape[k], in_shape) <= grown_m[i]) return true;
+    for (int i = 0; i < robot->link_count; i++)
+        for (int k = 0; !isnan(grown_m[i]) && k < robot->link[i].shape_count; k++) {
+            const body b = body_of(&robot->link[i].shape[k], &vehicle_from_link[i], grown_m[i]);
+            if (holds(&b, p)) return true;
         }
-    }
     return false;
 }
 
 typedef struct removal {
     td_disparity *disparity;
     const td_depth_camera *camera;
-    const td_pose *vehicle_from_rig, *vehicle_from_link;
-    const td_robot *robot;
-    const double *grown_m;
+    td_pose vehicle_from_rectified;
+    body *body;
+    size_t bodies;
     size_t *removed; /* (rows) */
 } removal;
 
 static void remove_row(size_t row, void *user)
 {
     const removal *r = user;
+    const td_depth_camera *c = r->camera;
     td_disparity *d = r->disparity;
     for (int column = 0; column < d->width; column++) {
         const size_t i = row * (size_t)d->width + (size_t)column;
-        td_depth_point point;
-        if (!td_depth_camera_point(&point, r->camera, column, (int)row, d->value[i], d->sigma[i])) continue;
-        double p[3] = {(double)point.p[0], (double)point.p[1], (double)point.p[2]};
-        td_pose_transform(p, r->vehicle_from_rig, p);
-        if (!td_own_body_holds(p, r->robot, r->vehicle_from_link, r->grown_m)) continue;
+        if (!(d->value[i] > 0)) continue;
+        const double depth = c->base_px_m / (double)d->value[i];
+        double p[3] = {(column - c->cx) / c->f * depth, ((double)row - c->cy) / c->f * depth, depth};
+        td_pose_transform(p, &r->vehicle_from_rectified, p);
+        bool inside = false;
+        for (size_t k = 0; !inside && k < r->bodies; k++) inside = holds(&r->body[k], p);
+        if (!inside) continue;
         d->value[i] = d->sigma[i] = NAN;
         d->kind[i] = TD_DENSE_NONE;
         r->removed[row]++;
     }
+}
+
+/* All that is looked for. */
+static size_t gather(body *list, const td_robot *robot, const double *q, const td_own_body_options *options)
+{
+    td_pose vehicle_from_link[TD_ROBOT_MAX_LINKS];
+    double grown[TD_ROBOT_MAX_LINKS];
+    size_t count = 0;
+    td_robot_forward(vehicle_from_link, robot, q);
+    td_own_body_growth(grown, robot, q, options);
+    for (int i = 0; i < robot->link_count; i++)
+        for (int k = 0; !isnan(grown[i]) && k < robot->link[i].shape_count; k++)
+            list[count++] = body_of(&robot->link[i].shape[k], &vehicle_from_link[i], grown[i]);
+    return count;
 }
 
 td_status td_own_body_remove(td_disparity *disparity, size_t *removed, const td_depth_camera *camera,
@@ -219,16 +260,19 @@ td_status td_own_body_remove(td_disparity *disparity, size_t *removed, const td_
     if (disparity->width != image->width || disparity->height != image->height)
         return td_fail(error, TD_ERROR_ARGUMENT, "the disparities are %dx%d px, the camera's are %dx%d",
                        disparity->width, disparity->height, image->width, image->height);
-    td_pose vehicle_from_link[TD_ROBOT_MAX_LINKS];
-    double grown[TD_ROBOT_MAX_LINKS];
-    td_robot_forward(vehicle_from_link, robot, q);
-    td_own_body_growth(grown, robot, q, options);
     size_t *rows = calloc((size_t)disparity->height, sizeof *rows), sum = 0;
-    if (!rows) return td_fail(error, TD_ERROR_MEMORY, "no memory to count %d rows", disparity->height);
-    removal r = {disparity, camera, vehicle_from_rig, vehicle_from_link, robot, grown, rows};
-    td_status status = td_parallel_for((size_t)disparity->height, threads, remove_row, &r, NULL, NULL);
-    for (int i = 0; i < disparity->height; i++) sum += rows[i];
+    body *list = malloc((size_t)robot->link_count * TD_ROBOT_MAX_SHAPES * sizeof *list);
+    td_status status = TD_ERROR_MEMORY;
+    if (rows && list) {
+        removal r = {.disparity = disparity, .camera = camera, .body = list, .removed = rows};
+        r.vehicle_from_rectified = td_pose_compose(vehicle_from_rig, &camera->rig_from_rectified);
+        r.bodies = gather(list, robot, q, options);
+        status = td_parallel_for((size_t)disparity->height, threads, remove_row, &r, NULL, NULL);
+        for (int i = 0; i < disparity->height; i++) sum += rows[i];
+    }
     if (removed) *removed = sum;
     free(rows);
-    return status;
+    free(list);
+    return status == TD_ERROR_MEMORY ? td_fail(error, status, "no memory to look for the arm's points")
+                                     : status;
 }
