@@ -1,19 +1,23 @@
 /* The filter of a cell.
  *
  * Two estimates of one height, e = n + c with noise n and the calibration's share c, are put together as the
- * best linear unbiased one. Their errors have in common c1 c2 (one rig, the same error) and, when the cell's
- * last measurements come from the same place, what repeats there:
+ * best linear unbiased one. Their errors have in common r c1 c2 (one rig) and, when the cell's last
+ * measurements come from the same place, what repeats there:
  *
- *   C = c1 c2 + share repeated,   k = (V1 - C) / (V1 + V2 - 2 C),   V = noise + c^2,
+ *   C = r c1 c2 + share repeated,   k = (V1 - C) / (V1 + V2 - 2 C),   V = noise + c^2,
  *   h = h1 + k (h2 - h1),   noise = (1 - k)^2 n1 + k^2 n2 + 2 k (1 - k) share repeated,
  *   c = (1 - k) c1 + k c2,
  *
- * k held to 0 … 1. `share` follows the weight of that place's measurements in the height. With C = 0 this is
- * the Kalman filter of a constant. */
+ * k held to 0 … 1. The last line takes the calibration's errors as the same, r = 1, which is safe. For the
+ * gain r is less: c1 and c2 hold the error of a slope, and full correlation would always take the smaller
+ * one, which is then too small. `share` follows the weight of that place's measurements in the height. With C
+ * = 0 this is the Kalman filter of a constant. */
 #include <math.h>
 #include <string.h>
 
 #include "recon/fusion_internal.h"
+
+static const double ALIKE = 0.5, ALIKE_THERE = 0.4; /* r: from two places; and more from one */
 
 static uint32_t sum_of(uint32_t a, uint32_t b)
 {
@@ -31,7 +35,7 @@ static void join(td_estimate *e, const td_measure *m)
     const double share = e->place == m->place ? (double)e->share : 0;
     /* No more can be in common than both have. */
     const double repeated = fmin(share * m->repeated, sqrt(noise * m->noise));
-    const double both = common * m->common + repeated;
+    const double both = (ALIKE + ALIKE_THERE * share) * common * m->common + repeated;
     const double own = noise + common * common - both, other = m->noise + m->common * m->common - both;
     const double k = own + other > 0 ? fmin(fmax(own / (own + other), 0), 1) : 0;
     e->height = (float)((double)e->height + k * (m->height - (double)e->height));
