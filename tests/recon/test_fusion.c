@@ -155,17 +155,21 @@ static void test_rig_coverage(void **state)
     const int draws = full() ? 240 : 36;
     const double bound = full() ? 0.07 : 0.17;
     td_random random = td_random_seed(12, 0);
-    site s = site_new(true, 1);
-    cover one = {0}, moving = {0};
+    site s = site_new(true, 1), sure = site_new(false, 1);
+    cover one = {0}, moving = {0}, posed = {0};
     for (int i = 0; i < draws; i++) {
         draw(&one, &s, 1, 1, 0, &random);
         draw(&moving, &s, 3, 2, 0.004, &random);
+        draw(&posed, &sure, 2, 2, 0.03, &random);
     }
     print_cover("rig and noise, one frame", &one);
     print_cover("rig, poses and noise, 3 places x 2 frames", &moving);
+    print_cover("poses and noise, 2 places x 2 frames", &posed);
     check_near(one.inside / one.cells, 0.683, bound);
+    check_near(posed.inside / posed.cells, 0.683, bound);
     check_near(moving.inside / moving.cells, 0.683, bound);
     site_free(&s);
+    site_free(&sure);
 }
 
 /* ---- what changes and what does not ---- */
