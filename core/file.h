@@ -11,8 +11,9 @@
 extern "C" {
 #endif
 
-/* Reads a regular file, or one inside a zip archive ("set.zip/folder/name"), of at most `limit` bytes; *bytes is to be freed with free() and has a 0 behind its
- * end. A missing, unreadable, too large or special file is refused with a sentence that names it. */
+/* Reads a regular file, or one inside a zip archive ("set.zip/folder/name"), of at most `limit` bytes; *bytes
+ * is to be freed with free() and has a 0 behind its end. A missing, unreadable, too large or special file is
+ * refused with a sentence that names it. */
 TD_API td_status td_file_read(char **bytes, size_t *size, const char *path, size_t limit, td_error *error);
 
 /* Writes under a temporary name in the same folder, fsyncs, renames, fsyncs the folder: after a crash or kill
@@ -24,8 +25,8 @@ TD_API td_status td_file_write(const char *path, const void *bytes, size_t size,
 typedef td_status (*td_file_part)(const void **bytes, size_t *size, void *user, td_error *error);
 TD_API td_status td_file_write_parts(const char *path, td_file_part part, void *user, td_error *error);
 
-/* Opens a regular file to be read piece by piece, without ever waiting; anything else is refused with a sentence
- * that names it. To be closed with fclose(). */
+/* Opens a regular file to be read piece by piece, without ever waiting; anything else is refused with a
+ * sentence that names it. To be closed with fclose(). */
 TD_API td_status td_file_stream(FILE **file, const char *path, td_error *error);
 
 /* Makes a folder and its parents; an existing folder is fine. */

@@ -2,11 +2,14 @@
  *
  * Coverage: rigs drawn from their covariance, poses from theirs, matching noise as stated; the share of cells
  * off by at most their sigma must be 0.68. One rig is one draw, and its error is common to most of a map, so
- * the bound is for the draws, not the cells: each draw's share scatters by about 0.35 (measured), and
- * 0.35/sqrt(draws) is one standard deviation of the mean: 0.07 is 2.8 of them at 200 draws, 0.17 at 36. Noise
- * alone is independent from cell to cell: there 0.03. Blind to: matching errors that are not what
- * td_disparity's sigma says; a rig whose covariance is wrong; rough ground (cells hold a plane here, or a
- * clear step). */
+ * the bound is for the draws, not the cells: each draw's share scatters by 0.4 (measured and printed), and
+ * 0.4 / sqrt(draws) is one standard deviation of the mean: 0.07 is 2.7 of them at 240 draws, 0.18 is 2.5
+ * at 30. Noise alone is independent from cell to cell: there 0.04, for its model is not exact: in cells below
+ * the errors' correlation the slope is known roughly and what is left of it counts in full (71 %), at the
+ * view's edge large cells are seen in part (67 %). Blind to: matching errors that are not what td_disparity's
+ * sigma says; a rig whose covariance is wrong; rough ground (cells hold a plane here, or a clear step); how
+ * much of matching's error really repeats from one place (the simulation repeats what the option says).
+ */
 #include "recon/fusion.h"
 
 #include "core/file.h"
@@ -152,8 +155,8 @@ static void test_noise_coverage(void **state)
 static void test_rig_coverage(void **state)
 {
     (void)state;
-    const int draws = full() ? 240 : 36;
-    const double bound = full() ? 0.07 : 0.17;
+    const int draws = full() ? 240 : 30;
+    const double bound = full() ? 0.07 : 0.18;
     td_random random = td_random_seed(12, 0);
     site s = site_new(true, 1), sure = site_new(false, 1);
     cover one = {0}, moving = {0}, posed = {0};
