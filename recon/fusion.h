@@ -16,7 +16,7 @@
  * cleared. Nothing else ever changes a cell.
  *
  * Memory: tiles of 128 x 128 cells of 64 bytes, made where something is measured; beyond a limit the least
- * recently used are kept in a folder. 1 km^2 at 5 cm is 24414 tiles: 25.6 GB if all of it is measured. */
+ * recently used are kept in a folder. 1 km^2 at 5 cm is 24649 tiles: 25.8 GB if all of it is measured. */
 #ifndef TELEDIMOS_RECON_FUSION_H
 #define TELEDIMOS_RECON_FUSION_H
 
