@@ -143,6 +143,7 @@ int main(int argc, char **argv)
     bench_dense(&b);
     bench_hand_eye(&b);
     bench_interest(&b);
+    bench_map(&b);
     bench_next_view(&b);
     bench_tags(&b);
     bench_vehicle(&b);
