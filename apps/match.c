@@ -145,7 +145,10 @@ static td_status prepare(match_job *m, td_error *error)
 static td_status automatic_matches(td_match **match, size_t *n, td_match_tally *tally, const match_job *m,
                                    td_error *error)
 {
-    return td_match_automatic(match, n, tally, &m->pair, m->image[0], m->image[1], &m->options, error);
+    td_status status =
+        td_match_automatic(match, n, tally, &m->pair, m->image[0], m->image[1], &m->options, error);
+    if (status == TD_ERROR_CANCELLED) return td_fail(error, status, "interrupted while matching");
+    return status;
 }
 
 /* Matches that only fit the other way round: the images were given in the wrong order. */
@@ -155,8 +158,10 @@ static bool look_swapped(const match_job *m)
     size_t n = 0;
     td_match_tally tally;
     const td_image *a = m->image[0], *b = m->image[1];
+    td_match_options quiet = m->options;
+    quiet.log = NULL;
     if (a->width != b->width || a->height != b->height) return false;
-    td_status status = td_match_automatic(&match, &n, &tally, &m->pair, b, a, &m->options, NULL);
+    td_status status = td_match_automatic(&match, &n, &tally, &m->pair, b, a, &quiet, NULL);
     free(match);
     return status == TD_OK && n >= 30 && 5 * n >= tally.left_points;
 }
@@ -217,6 +222,9 @@ static td_status guide(match_job *m, td_error *error)
                                            p->left, &m->options, error);
         if (status != TD_OK) return td_error_prefix(error, status, "%s: point %s", m->points_path, p->name);
         p->chosen = p->count ? 0 : -1;
+        if (!td_progress_report(m->options.progress, "ranking candidates", i + 1, m->point_count))
+            return td_fail(error, TD_ERROR_CANCELLED, "interrupted after %zu of %zu points", i + 1,
+                           m->point_count);
     }
     return TD_OK;
 }
@@ -235,17 +243,27 @@ static void refine_choices(match_job *m)
     }
 }
 
+/* With the turned camera the band lies elsewhere: other matches, and what the turn really brought. */
+static td_status match_again(match_job *m, td_match **match, size_t *n, td_error *error)
+{
+    td_epipolar_gate gate;
+    free(*match);
+    *match = NULL;
+    TD_TRY(automatic_matches(match, n, &m->tally, m, error));
+    if (*n < 8)
+        return td_fail(error, TD_ERROR_DATA, "with the right camera turned only %zu points match", *n);
+    TD_TRY(td_epipolar_gate_check(&gate, &m->pair, *match, *n, error));
+    m->epipolar.corrected_px = gate.rms_px;
+    return TD_OK;
+}
+
 static td_status find_points(match_job *m, double limit_px, td_error *error)
 {
     td_match *match = NULL;
     size_t n = 0;
     td_status status = check_pair(m, &match, &n, error);
     if (status == TD_OK) status = consider_turn(m, limit_px, error);
-    if (status == TD_OK && m->corrected && m->mode == MATCH_AUTOMATIC) {
-        free(match);
-        match = NULL;
-        status = automatic_matches(&match, &n, &m->tally, m, error);
-    }
+    if (status == TD_OK && m->corrected) status = match_again(m, &match, &n, error);
     if (status == TD_OK && m->mode == MATCH_AUTOMATIC) status = take_automatic(m, match, n, error);
     if (status == TD_OK && m->mode == MATCH_GUIDED) status = guide(m, error);
     if (status == TD_OK && m->mode == MATCH_CHOSEN) refine_choices(m);
