@@ -108,6 +108,17 @@ static double sigma_median(const match_job *m, sigma_part part, double *worst)
     return value;
 }
 
+/* A turn that explains most of the distance speaks against the rig; else the matches may be to blame. */
+static const char *epipolar_meaning(const match_job *m, double px, const gate_row *rows)
+{
+    const td_epipolar_gate *e = &m->epipolar;
+    if (px <= rows[0].refuse) return "more than a rig in order has";
+    if (e->determined && e->corrected_px < 0.7 * e->rms_px)
+        return "the rig is not what these images were taken with";
+    return "the rig is not what these images were taken with, or many of the matches are wrong, as on a "
+           "texture that repeats";
+}
+
 static void judge_epipolar(match_job *m, const gate_row *rows)
 {
     gate_result *g = &m->gate;
@@ -127,11 +138,9 @@ static void judge_epipolar(match_job *m, const gate_row *rows)
                  "rig-corrected.yaml has it, --correct uses it",
                  DEGREES * e->rotation[0], DEGREES * e->rotation[1], DEGREES * e->rotation[2],
                  e->corrected_px);
-    gate_check(
-        g, rows, match_gate_count, "epipolar_px", px,
-        "matches lie %.3f px from their epipolar curves%s: the rig is not what these images were taken "
-        "with%s",
-        px, m->corrected ? ", the right camera turned" : "", offer);
+    gate_check(g, rows, match_gate_count, "epipolar_px", px,
+               "%zu automatic matches lie %.3f px from their epipolar curves%s: %s%s", e->matches, px,
+               m->corrected ? ", the right camera turned" : "", epipolar_meaning(m, px, rows), offer);
 }
 
 /* Points of a person that another place fits nearly as well, as on a texture that repeats. */
