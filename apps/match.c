@@ -174,7 +174,7 @@ static bool look_swapped(const match_job *m)
 }
 
 /* Cameras that turned far leave the band empty: what lies in a wide one says by how much. */
-static td_status match_wide(const match_job *m, td_match **match, size_t *n, td_error *error)
+static td_status match_wide(match_job *m, td_match **match, size_t *n, td_error *error)
 {
     td_match_options wide = m->options;
     td_match *more = NULL;
@@ -186,6 +186,7 @@ static td_status match_wide(const match_job *m, td_match **match, size_t *n, td_
         free(*match);
         *match = more;
         *n = found;
+        m->tally = tally;
         return TD_OK;
     }
     free(more);
