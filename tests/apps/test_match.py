@@ -66,7 +66,8 @@ def test_automatic(site, frame, out):
     ratio = np.sqrt(np.mean((error[used] / sigma[used])**2, axis=0))
     check(np.all(ratio > 0.85) and np.all(ratio < 1.25), f"  error over sigma, RMS: {ratio[0]:.3f} in x, {ratio[1]:.3f} in y")
     check(result["frame"] == "vehicle" and result["verdict"] == "warned" and result["sigma_m"]["median"] is None and
-          result["sigma_m"]["calibration_median"] is None and "calibration sigma unknown" in " ".join(result["reasons"]),
+          result["sigma_m"]["calibration_median"] is None and "calibration sigma unknown" in " ".join(result["reasons"]) and
+          all(row["sigma_m"] == row["sigma_calibration_m"] == "" for row in rows),
           "  points in the vehicle's frame; without a covariance of the rig sigma is unknown, and said to be")
     at = columns(rows, "x_m", "y_m", "z_m")
     _, depth, _ = truth.behind(matches[:, :2])
