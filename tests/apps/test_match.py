@@ -395,9 +395,9 @@ with tempfile.TemporaryDirectory() as place:
     test_guided(trench, "04", place)
     test_cameras(polyhedra, place)
     test_turned(polyhedra, place)
-    if not SANITIZED:  # large images: minutes, and the same code
+    if not SANITIZED:  # minutes, and the same code
         test_aloe(place)
-    test_motorcycle(place)
-    test_stale(place)
+        test_motorcycle(place)
+        test_stale(place)
     test_calibrated(place)
     finish()
