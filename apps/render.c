@@ -34,7 +34,9 @@ static cli_command command = {
         "distortion, blur, "
         "vignetting and noise, and writes a dataset that other jobs take: dataset.yaml, frames.csv, "
         "rig.yaml, "
-        "CAMERA/FRAME.png. Beside it the truth: truth/CAMERA/FRAME.pfm (depth along the camera's z axis, m, "
+        "CAMERA/FRAME.png; vehicle_from_rig is the scene's mount, in the frame of the link that carries the "
+        "rig "
+        "or of the vehicle. Beside it the truth: truth/CAMERA/FRAME.pfm (depth along the camera's z axis, m, "
         "of each "
         "pixel's centre; NaN: sky; portable float map, lowest row first), truth/poses.csv (site_from_rig), "
         "truth/ground-NAME.tif (heights, m).\n\n"
@@ -455,10 +457,22 @@ static td_status write_description(const job *j, td_error *error)
     return status;
 }
 
+/* The rig with its place on the machine: in the frame of the link that carries it, or of the vehicle. */
+static td_status describe_rig(char **yaml, const td_scene_file *f, td_error *error)
+{
+    td_rig *rig = td_rig_copy(f->rig);
+    if (!rig) return td_fail(error, TD_ERROR_MEMORY, "no memory for the rig");
+    rig->has_vehicle = true;
+    rig->vehicle_from_rig = f->mount_from_rig;
+    td_status status = td_rig_to_yaml(yaml, rig, error);
+    td_rig_free(&rig);
+    return status;
+}
+
 static td_status write_truth(const job *j, td_error *error)
 {
     char *yaml = NULL;
-    TD_TRY(td_rig_to_yaml(&yaml, j->file->rig, error));
+    TD_TRY(describe_rig(&yaml, j->file, error));
     td_status status = write_file("rig.yaml", yaml, strlen(yaml), error);
     free(yaml);
     for (int g = 0; g < j->file->ground_count && status == TD_OK; g++) {
