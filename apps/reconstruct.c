@@ -186,6 +186,7 @@ int main(int argc, char **argv)
     how.dense.method = strcmp(method, "opencv") == 0 ? TD_DENSE_OPENCV : TD_DENSE_OURS;
     how.dense.levels = levels;
     how.dense.refine = true;
+    how.fusion.correlation_px = 9; /* the window over which disparities are refined */
     how.dense.threads = how.fusion.threads = common.threads;
     how.fusion.cell_m = cell_m;
     how.fusion.believe_frames = believe;
