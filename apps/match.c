@@ -9,6 +9,8 @@
 #include "core/rig_formats.h"
 #include "recon/zncc.h"
 
+#define WIDE_BAND_PX 12.0
+
 static const char *argument[2], *rig_path, *points_path, *choose_path, *camera_names;
 static cli_common common;
 static cli_list gates;
@@ -145,7 +147,15 @@ static td_status prepare(match_job *m, td_error *error)
 static td_status automatic_matches(td_match **match, size_t *n, td_match_tally *tally, const match_job *m,
                                    td_error *error)
 {
-    return td_match_automatic(match, n, tally, &m->pair, m->image[0], m->image[1], &m->options, error);
+    td_status status =
+        td_match_automatic(match, n, tally, &m->pair, m->image[0], m->image[1], &m->options, error);
+    if (status == TD_ERROR_CANCELLED) return td_fail(error, status, "interrupted while matching");
+    return status;
+}
+
+static bool are_few(size_t n, const td_match_tally *tally)
+{
+    return n < 30 || 10 * n < tally->left_points;
 }
 
 /* Matches that only fit the other way round: the images were given in the wrong order. */
@@ -155,21 +165,44 @@ static bool look_swapped(const match_job *m)
     size_t n = 0;
     td_match_tally tally;
     const td_image *a = m->image[0], *b = m->image[1];
+    td_match_options quiet = m->options;
+    quiet.log = NULL;
     if (a->width != b->width || a->height != b->height) return false;
-    td_status status = td_match_automatic(&match, &n, &tally, &m->pair, b, a, &m->options, NULL);
+    td_status status = td_match_automatic(&match, &n, &tally, &m->pair, b, a, &quiet, NULL);
     free(match);
     return status == TD_OK && n >= 30 && 5 * n >= tally.left_points;
+}
+
+/* Cameras that turned far leave the band empty: what lies in a wide one says by how much. */
+static td_status match_wide(match_job *m, td_match **match, size_t *n, td_error *error)
+{
+    td_match_options wide = m->options;
+    td_match *more = NULL;
+    td_match_tally tally;
+    size_t found = 0;
+    wide.band_px = WIDE_BAND_PX;
+    TD_TRY(td_match_automatic(&more, &found, &tally, &m->pair, m->image[0], m->image[1], &wide, error));
+    if (!are_few(found, &tally)) {
+        free(*match);
+        *match = more;
+        *n = found;
+        m->tally = tally;
+        return TD_OK;
+    }
+    free(more);
+    return TD_OK;
 }
 
 /* Do the images belong to the rig? From automatic matches, whatever the mode. */
 static td_status check_pair(match_job *m, td_match **match, size_t *n, td_error *error)
 {
     TD_TRY(automatic_matches(match, n, &m->tally, m, error));
-    bool few = *n < 30 || 10 * *n < m->tally.left_points;
+    const bool few = are_few(*n, &m->tally);
     if (few && m->tally.left_points >= 30 && look_swapped(m))
         return td_fail(error, TD_ERROR_DATA,
                        "%s and %s match only the other way round: give the image of camera %s first",
                        argument[0], argument[1], m->rig->camera[m->pair.left].name);
+    if (few && m->options.band_px == 0 && m->tally.left_points >= 30) TD_TRY(match_wide(m, match, n, error));
     if (*n < 8) return TD_OK;
     TD_TRY(td_epipolar_gate_check(&m->epipolar, &m->pair, *match, *n, error));
     m->has_gate = true;
@@ -217,6 +250,9 @@ static td_status guide(match_job *m, td_error *error)
                                            p->left, &m->options, error);
         if (status != TD_OK) return td_error_prefix(error, status, "%s: point %s", m->points_path, p->name);
         p->chosen = p->count ? 0 : -1;
+        if (!td_progress_report(m->options.progress, "ranking candidates", i + 1, m->point_count))
+            return td_fail(error, TD_ERROR_CANCELLED, "interrupted after %zu of %zu points", i + 1,
+                           m->point_count);
     }
     return TD_OK;
 }
@@ -235,17 +271,27 @@ static void refine_choices(match_job *m)
     }
 }
 
+/* With the turned camera the band lies elsewhere: other matches, and what the turn really brought. */
+static td_status match_again(match_job *m, td_match **match, size_t *n, td_error *error)
+{
+    td_epipolar_gate gate;
+    free(*match);
+    *match = NULL;
+    TD_TRY(automatic_matches(match, n, &m->tally, m, error));
+    if (*n < 8)
+        return td_fail(error, TD_ERROR_DATA, "with the right camera turned only %zu points match", *n);
+    TD_TRY(td_epipolar_gate_check(&gate, &m->pair, *match, *n, error));
+    m->epipolar.corrected_px = gate.rms_px;
+    return TD_OK;
+}
+
 static td_status find_points(match_job *m, double limit_px, td_error *error)
 {
     td_match *match = NULL;
     size_t n = 0;
     td_status status = check_pair(m, &match, &n, error);
     if (status == TD_OK) status = consider_turn(m, limit_px, error);
-    if (status == TD_OK && m->corrected && m->mode == MATCH_AUTOMATIC) {
-        free(match);
-        match = NULL;
-        status = automatic_matches(&match, &n, &m->tally, m, error);
-    }
+    if (status == TD_OK && m->corrected) status = match_again(m, &match, &n, error);
     if (status == TD_OK && m->mode == MATCH_AUTOMATIC) status = take_automatic(m, match, n, error);
     if (status == TD_OK && m->mode == MATCH_GUIDED) status = guide(m, error);
     if (status == TD_OK && m->mode == MATCH_CHOSEN) refine_choices(m);
@@ -253,21 +299,31 @@ static td_status find_points(match_job *m, double limit_px, td_error *error)
     return status;
 }
 
+static td_status write_file(const match_job *m, int k, const char *path, td_error *error)
+{
+    switch (k) {
+    case 0:
+        return m->map ? td_elevation_write(m->map, path, error) : TD_OK;
+    case 1:
+        return m->mode == MATCH_GUIDED ? match_candidates_write(m, path, error) : TD_OK;
+    case 2:
+        return m->count ? match_matches_write(m, path, error) : TD_OK;
+    case 3:
+        return m->count ? match_cloud_write(m, path, error) : TD_OK;
+    default:
+        return m->offer ? td_rig_write(m->offer, path, error) : TD_OK;
+    }
+}
+
+/* The map first: it needs a module that may be missing, and then nothing is left behind. */
 static td_status write_files(match_job *m, job *j)
 {
-    td_error *error = &j->error;
-    static const char *const names[] = {"candidates.csv", "matches.csv", "points.ply", "map.tif",
+    static const char *const names[] = {"map.tif", "candidates.csv", "matches.csv", "points.ply",
                                         "rig-corrected.yaml"};
-    TD_TRY(td_folder_make(common.output, error));
+    TD_TRY(td_folder_make(common.output, &j->error));
     for (int k = 0; k < 5; k++) {
         char *path = job_path(j, names[k]);
-        td_status status = path ? TD_OK : TD_ERROR_MEMORY;
-        if (status == TD_OK && k == 0 && m->mode == MATCH_GUIDED)
-            status = match_candidates_write(m, path, error);
-        if (status == TD_OK && k == 1 && m->count) status = match_matches_write(m, path, error);
-        if (status == TD_OK && k == 2 && m->count) status = match_cloud_write(m, path, error);
-        if (status == TD_OK && k == 3 && m->map) status = td_elevation_write(m->map, path, error);
-        if (status == TD_OK && k == 4 && m->offer) status = td_rig_write(m->offer, path, error);
+        td_status status = path ? write_file(m, k, path, &j->error) : TD_ERROR_MEMORY;
         free(path);
         TD_TRY(status);
     }

@@ -19,6 +19,7 @@ typedef struct match_point {
     td_match *candidate; /* (count) best first */
     size_t count;
     int chosen; /* of the candidates; -1: none */
+    size_t row; /* of the table that names it */
 } match_point;
 
 typedef struct match_job {

@@ -27,13 +27,57 @@ static td_status real_in_image(double *value, const td_csv *csv, size_t row, int
     return TD_OK;
 }
 
-static void name_of(char name[TD_NAME_SIZE], const td_csv *csv, size_t row, int column)
+/* The window around a left point must lie in the image. */
+static td_status real_in_window(double *value, const td_csv *csv, size_t row, int column, int size,
+                                int half_window, td_error *error)
+{
+    TD_TRY(real_in_image(value, csv, row, column, size, error));
+    if (lround(*value) < half_window || lround(*value) > size - 1 - half_window)
+        return td_csv_fail(csv, row, column, error,
+                           "%g is nearer than the window's %d px to the image's edge (0 to %d): pick a point "
+                           "further in, or a smaller --window",
+                           *value, half_window, size - 1);
+    return TD_OK;
+}
+
+static td_status name_of(match_point *p, const td_csv *csv, size_t row, int column, td_error *error)
 {
     const char *given = column >= 0 ? td_csv_cell(csv, row, column) : "";
+    p->row = row;
+    if (strlen(given) >= sizeof p->name)
+        return td_csv_fail(csv, row, column, error, "a name of at most %zu characters is wanted",
+                           sizeof p->name - 1);
+    for (const char *c = given; *c; c++)
+        if ((unsigned char)*c < ' ')
+            return td_csv_fail(csv, row, column, error, "a line end or a tab in the name of a point");
     if (*given)
-        snprintf(name, TD_NAME_SIZE, "%s", given);
+        snprintf(p->name, sizeof p->name, "%s", given);
     else
-        snprintf(name, TD_NAME_SIZE, "%zu", row + 1);
+        snprintf(p->name, sizeof p->name, "%zu", row + 1);
+    return TD_OK;
+}
+
+static int by_name(const void *a, const void *b)
+{
+    const match_point *p = *(const match_point *const *)a, *q = *(const match_point *const *)b;
+    const int order = strcmp(p->name, q->name);
+    return order ? order : (p->row > q->row) - (p->row < q->row);
+}
+
+/* A name means one point, or picks could not be taken back in. `what`: what is wrong with two of a name. */
+static td_status check_names(const match_job *m, const td_csv *csv, const char *what, td_error *error)
+{
+    const match_point **sorted = malloc((m->point_count + 1) * sizeof *sorted);
+    td_status status = TD_OK;
+    if (!sorted) return td_fail(error, TD_ERROR_MEMORY, "out of memory");
+    for (size_t i = 0; i < m->point_count; i++) sorted[i] = &m->point[i];
+    qsort(sorted, m->point_count, sizeof *sorted, by_name);
+    for (size_t i = 1; i < m->point_count && status == TD_OK; i++)
+        if (strcmp(sorted[i]->name, sorted[i - 1]->name) == 0)
+            status = td_csv_fail(csv, sorted[i]->row, td_csv_column(csv, "point"), error, "point %s is %s",
+                                 sorted[i]->name, what);
+    free(sorted);
+    return status;
 }
 
 static td_status open_table(td_csv **csv, match_job *m, td_error *error)
@@ -54,13 +98,14 @@ static td_status read_points(match_job *m, const td_csv *csv, td_error *error)
     TD_TRY(column_of(&y, csv, "y_px", error));
     for (size_t r = 0; r < csv->rows; r++) {
         match_point *p = &m->point[r];
-        name_of(p->name, csv, r, name);
+        const int k = m->options.half_window;
+        TD_TRY(name_of(p, csv, r, name, error));
         p->chosen = -1;
-        TD_TRY(real_in_image(&p->left[0], csv, r, x, m->image[0]->width, error));
-        TD_TRY(real_in_image(&p->left[1], csv, r, y, m->image[0]->height, error));
+        TD_TRY(real_in_window(&p->left[0], csv, r, x, m->image[0]->width, k, error));
+        TD_TRY(real_in_window(&p->left[1], csv, r, y, m->image[0]->height, k, error));
         m->point_count++;
     }
-    return TD_OK;
+    return check_names(m, csv, "given twice: give each a name of its own", error);
 }
 
 td_status match_points_read(match_job *m, td_error *error)
@@ -81,11 +126,7 @@ static td_status read_choice(match_job *m, const td_csv *csv, const int column[4
         TD_TRY(real_in_image(&at[k], csv, row, column[k], k % 2 ? image->height : image->width, error));
     }
     match_point *p = &m->point[m->point_count];
-    name_of(p->name, csv, row, name);
-    for (size_t i = 0; i < m->point_count; i++)
-        if (strcmp(m->point[i].name, p->name) == 0)
-            return td_csv_fail(csv, row, name < 0 ? column[0] : name, error,
-                               "point %s is chosen twice: leave one candidate of it chosen", p->name);
+    TD_TRY(name_of(p, csv, row, name, error));
     p->candidate = calloc(1, sizeof *p->candidate);
     if (!p->candidate) return td_fail(error, TD_ERROR_MEMORY, "out of memory");
     memcpy(p->left, at, sizeof p->left);
@@ -113,7 +154,7 @@ static td_status read_choices(match_job *m, const td_csv *csv, td_error *error)
     if (!m->point_count)
         return td_fail(error, TD_ERROR_DATA, "%s: no row is chosen: write 1 in its column `chosen`",
                        csv->name);
-    return TD_OK;
+    return check_names(m, csv, "chosen twice: leave one candidate of it chosen", error);
 }
 
 td_status match_choices_read(match_job *m, td_error *error)
@@ -126,6 +167,18 @@ td_status match_choices_read(match_job *m, td_error *error)
 }
 
 /* ---- writing ---- */
+
+/* In quotes where a reader of CSV would take it for something else. */
+static void write_name(FILE *f, const char *name)
+{
+    if (!strpbrk(name, ",\"#") && name[0] != ' ' && name[strlen(name) - 1] != ' ') {
+        fputs(name, f);
+        return;
+    }
+    fputc('"', f);
+    for (; *name; name++) fprintf(f, *name == '"' ? "\"\"" : "%c", *name);
+    fputc('"', f);
+}
 
 static void write_number(FILE *f, double value, int digits)
 {
@@ -182,7 +235,8 @@ td_status match_candidates_write(const match_job *m, const char *path, td_error 
             const td_match *candidate = &m->point[i].candidate[c];
             bool found = td_triangulate(&p, &m->pair, candidate);
             if (found) match_to_frame(m, &p);
-            fprintf(f, "%s,%zu,%d", m->point[i].name, c + 1, (int)c == m->point[i].chosen);
+            write_name(f, m->point[i].name);
+            fprintf(f, ",%zu,%d", c + 1, (int)c == m->point[i].chosen);
             write_pixels(f, candidate);
             write_space(f, &p, found);
             fputc('\n', f);
@@ -202,7 +256,7 @@ td_status match_matches_write(const match_job *m, const char *path, td_error *er
             "sigma_matching_m,sigma_calibration_m\n",
             m->frame);
     for (size_t i = 0; i < m->count; i++) {
-        fputs(m->point[m->index[i]].name, f);
+        write_name(f, m->point[m->index[i]].name);
         write_pixels(f, &m->match[i]);
         write_space(f, &m->space[i], true);
         fputc('\n', f);

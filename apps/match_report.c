@@ -9,23 +9,47 @@
 
 #define DEGREES 57.29577951308232
 
-enum { CURVE_POINTS = 64, SHOWN_POINTS = 60 };
+/* Above CROWD, points are drawn small, and not over the map. */
+enum { CURVE_POINTS = 64, SHOWN_POINTS = 60, TABLE_ROWS = 40, CROWD = 150 };
+
+static int by_value(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* Of all that has a sigma: median and largest, mm. False: none has. */
+static bool sigmas(double *middle, double *largest, const match_job *m)
+{
+    size_t n = 0;
+    double *s = malloc((m->count + 1) * sizeof *s);
+    if (!s) return false;
+    for (size_t i = 0; i < m->count; i++) {
+        double sigma = match_sigma(m->calibration_known ? m->space[i].covariance : m->space[i].matching);
+        if (isfinite(sigma)) s[n++] = 1e3 * sigma;
+    }
+    qsort(s, n, sizeof *s, by_value);
+    if (n) *middle = s[n / 2], *largest = s[n - 1];
+    free(s);
+    return n > 0;
+}
 
 static void figures(td_report *r, const match_job *m)
 {
-    double worst = 0;
-    for (size_t i = 0; i < m->count; i++) {
-        double sigma = match_sigma(m->calibration_known ? m->space[i].covariance : m->space[i].matching);
-        if (isfinite(sigma)) worst = fmax(worst, sigma);
-    }
+    double middle, largest;
     td_report_figures_begin(r);
     td_report_figure(r, "points in space", m->count ? TD_TONE_GOOD : TD_TONE_BAD, "%zu", m->count);
     if (m->has_gate)
         td_report_figure(r, "off the epipolar curves", TD_TONE_PLAIN, "%.3f px",
                          m->corrected ? m->epipolar.corrected_px : m->epipolar.rms_px);
-    if (m->count)
-        td_report_figure(r, m->calibration_known ? "largest sigma" : "largest sigma, matching alone",
-                         TD_TONE_PLAIN, "%.1f mm", 1e3 * worst);
+    if (sigmas(&middle, &largest, m)) {
+        const char *of = m->calibration_known ? "" : ", matching alone";
+        char label[2][40];
+        snprintf(label[0], sizeof label[0], "median sigma%s", of);
+        snprintf(label[1], sizeof label[1], "largest sigma%s", of);
+        td_report_figure(r, label[0], TD_TONE_PLAIN, "%.1f mm", middle);
+        td_report_figure(r, label[1], TD_TONE_PLAIN, "%.1f mm", largest);
+    }
     td_report_figures_end(r);
 }
 
@@ -39,14 +63,31 @@ static void epipolar_text(td_report *r, const match_job *m)
         "%zu automatic matches lie %.3f px (robust RMS) from the epipolar curves that the rig says, their "
         "median %+.3f px; %zu of them are inliers.",
         e->matches, e->rms_px, e->median_px, e->inliers);
-    if (e->determined)
-        td_report_text(
-            r,
-            "Turning the right camera by (%.4f ± %.4f, %.4f ± %.4f, %.4f ± %.4f) degrees would bring this "
-            "to %.3f px.%s",
-            DEGREES * e->rotation[0], DEGREES * sqrt(e->covariance[0]), DEGREES * e->rotation[1],
-            DEGREES * sqrt(e->covariance[4]), DEGREES * e->rotation[2], DEGREES * sqrt(e->covariance[8]),
-            e->corrected_px, m->corrected ? " The points below are with the turned camera." : "");
+    if (!e->determined) {
+        td_report_text(r, "They are too few, or spread too little, to tell how the right camera has turned.");
+        return;
+    }
+    td_report_text(r,
+                   "The turn of the right camera that fits them best is (%.4f ± %.4f, %.4f ± %.4f, %.4f ± "
+                   "%.4f) degrees; with it they lie at %.3f px.%s",
+                   DEGREES * e->rotation[0], DEGREES * sqrt(e->covariance[0]), DEGREES * e->rotation[1],
+                   DEGREES * sqrt(e->covariance[4]), DEGREES * e->rotation[2],
+                   DEGREES * sqrt(e->covariance[8]), e->corrected_px,
+                   m->corrected ? " The points below are with the turned camera."
+                   : m->offer   ? " The rig with this turn is rig-corrected.yaml."
+                                : " The rig is used as it is.");
+}
+
+/* What became of the interest points. */
+static void tally_text(td_report *r, const match_job *m)
+{
+    const td_match_tally *t = &m->tally;
+    if (m->mode != MATCH_AUTOMATIC) return;
+    td_report_text(r,
+                   "Of %zu interest points of the left image %zu were not seen on the right, %zu looked like "
+                   "two places, %zu did not lead back, %zu could not be refined and %zu were left out as "
+                   "unsure.",
+                   t->left_points, t->unseen, t->ambiguous, t->one_sided, t->unrefined, t->unsure);
 }
 
 /* The epipolar curve of a left point in the right image. */
@@ -95,7 +136,7 @@ static void pictures(td_report *r, const match_job *m)
                                           .y = cy};
         }
         series[count++] = (td_series){.label = "matches",
-                                      .shape = TD_SHAPE_CROSS,
+                                      .shape = n > CROWD ? TD_SHAPE_POINT : TD_SHAPE_CROSS,
                                       .tone = TD_TONE_GOOD,
                                       .count = n,
                                       .x = x + 2 * side * n,
@@ -107,13 +148,14 @@ static void pictures(td_report *r, const match_job *m)
 }
 
 /* The map seen from above: a field of the cells as columns to the front and rows to the left. */
-static void field(td_report *r, const match_job *m, const float *value, const char *title, const char *label)
+static void field(td_report *r, const match_job *m, const float *value, double scale, const char *title,
+                  const char *label)
 {
     const td_elevation *map = m->map;
     size_t cells = (size_t)map->columns * (size_t)map->rows;
     double *v = malloc((cells + 1) * sizeof *v), *x = malloc((2 * m->count + 1) * sizeof *x);
     if (v && x && map->columns > 1 && map->rows > 1) {
-        for (size_t i = 0; i < cells; i++) v[i] = value[i];
+        for (size_t i = 0; i < cells; i++) v[i] = scale * value[i];
         for (size_t i = 0; i < m->count; i++) {
             x[i] = m->space[i].p[0];
             x[m->count + i] = m->space[i].p[1];
@@ -131,18 +173,37 @@ static void field(td_report *r, const match_job *m, const float *value, const ch
                               .heat = &heat};
         const td_series series = {
             .label = "points", .shape = TD_SHAPE_POINT, .count = m->count, .x = x, .y = x + m->count};
-        td_report_plot(r, &axes, &series, 1);
+        td_report_plot(r, &axes, &series, m->count <= CROWD);
     }
     free(v);
     free(x);
 }
 
+static void map(td_report *r, const match_job *m)
+{
+    if (!m->map) return;
+    td_report_heading(r, "Coarse elevation map");
+    td_report_text(r,
+                   "From above, frame %s: x forward, y left. %zu triangles over the points, flat in between: "
+                   "sigma is that of the triangles' corners, and knows nothing of what stands between them.",
+                   m->frame, m->triangle_count);
+    td_report_grid_begin(r, 2);
+    field(r, m, m->map->height, 1, "height", "z (m)");
+    field(r, m, m->map->sigma, 1e3, "standard deviation of the height", "sigma (mm)");
+    td_report_grid_end(r);
+}
+
 static void point_table(td_report *r, const match_job *m)
 {
-    static const char *const heads[] = {"point",       "left (px)",  "right (px)",    "ZNCC",
-                                        "x, y, z (m)", "sigma (mm)", "matching (mm)", "calibration (mm)"};
-    size_t shown = m->count < 200 ? m->count : 200;
-    td_report_table_begin(r, heads, 8);
+    static const char *const heads[] = {"point",         "left (px)",       "right (px)", "ZNCC",
+                                        "x (m)",         "y (m)",           "z (m)",      "sigma (mm)",
+                                        "matching (mm)", "calibration (mm)"};
+    static const char *const alone[] = {"point", "left (px)", "right (px)", "ZNCC",
+                                        "x (m)", "y (m)",     "z (m)",      "sigma of matching (mm)"};
+    size_t shown = m->count < TABLE_ROWS ? m->count : TABLE_ROWS;
+    if (!m->count) return;
+    td_report_heading(r, "Points");
+    td_report_table_begin(r, m->calibration_known ? heads : alone, m->calibration_known ? 10 : 8);
     for (size_t i = 0; i < shown; i++) {
         const td_match *a = &m->match[i];
         const td_point3 *p = &m->space[i];
@@ -150,10 +211,10 @@ static void point_table(td_report *r, const match_job *m)
         td_report_cell(r, TD_TONE_PLAIN, "%.2f, %.2f", a->left[0], a->left[1]);
         td_report_cell(r, TD_TONE_PLAIN, "%.2f, %.2f", a->right[0], a->right[1]);
         td_report_cell(r, TD_TONE_PLAIN, "%.3f", a->zncc);
-        td_report_cell(r, TD_TONE_PLAIN, "%.4f, %.4f, %.4f", p->p[0], p->p[1], p->p[2]);
-        td_report_cell(r, TD_TONE_PLAIN, "%.2f", 1e3 * match_sigma(p->covariance));
+        for (int k = 0; k < 3; k++) td_report_cell(r, TD_TONE_PLAIN, "%.4f", p->p[k]);
+        if (m->calibration_known) td_report_cell(r, TD_TONE_PLAIN, "%.2f", 1e3 * match_sigma(p->covariance));
         td_report_cell(r, TD_TONE_PLAIN, "%.2f", 1e3 * match_sigma(p->matching));
-        td_report_cell(r, TD_TONE_PLAIN, "%.2f", 1e3 * match_sigma(p->calibration));
+        if (m->calibration_known) td_report_cell(r, TD_TONE_PLAIN, "%.2f", 1e3 * match_sigma(p->calibration));
         td_report_row_end(r);
     }
     td_report_table_end(r);
@@ -176,18 +237,10 @@ td_status match_report(const void *found, const char *path, td_error *error)
     td_report_verdict(r, tones[m->gate.verdict], verdict_name(m->gate.verdict), sentences, m->gate.count);
     figures(r, m);
     pictures(r, m);
+    tally_text(r, m);
     epipolar_text(r, m);
-    if (m->map) {
-        td_report_heading(r, "Coarse elevation map");
-        td_report_grid_begin(r, 2);
-        field(r, m, m->map->height, "height", "z (m)");
-        field(r, m, m->map->sigma, "standard deviation of the height", "sigma (m)");
-        td_report_grid_end(r);
-    }
-    if (m->count) {
-        td_report_heading(r, "Points");
-        point_table(r, m);
-    }
+    map(r, m);
+    point_table(r, m);
     td_status status = td_report_write(r, path, error);
     td_report_free(&r);
     return status;

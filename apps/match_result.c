@@ -47,6 +47,7 @@ const td_schema_row match_schema[] = {
     {"tally.unsure", TD_SCHEMA_INT, true, false, "a sigma above --sigma"},
     {"points", TD_SCHEMA_INT, true, false, "left points: given, or matched"},
     {"matched", TD_SCHEMA_INT, true, false, "of them with a match that is a point in space"},
+    {"ambiguous", TD_SCHEMA_INT, true, false, "guided: points that another place fits nearly as well"},
     {"frame", TD_SCHEMA_STRING, true, false,
      "of the points and the map: vehicle, or rig (first camera; x forward, y left, z up)"},
     {"sigma_m", TD_SCHEMA_OBJECT, false, false, "standard deviation of the points, worst direction"},
@@ -107,6 +108,17 @@ static double sigma_median(const match_job *m, sigma_part part, double *worst)
     return value;
 }
 
+/* A turn that explains most of the distance speaks against the rig; else the matches may be to blame. */
+static const char *epipolar_meaning(const match_job *m, double px, const gate_row *rows)
+{
+    const td_epipolar_gate *e = &m->epipolar;
+    if (px <= rows[0].refuse) return "more than a rig in order has";
+    if (e->determined && e->corrected_px < 0.7 * e->rms_px)
+        return "the rig is not what these images were taken with";
+    return "the rig is not what these images were taken with, or many of the matches are wrong, as on a "
+           "texture that repeats";
+}
+
 static void judge_epipolar(match_job *m, const gate_row *rows)
 {
     gate_result *g = &m->gate;
@@ -126,11 +138,36 @@ static void judge_epipolar(match_job *m, const gate_row *rows)
                  "rig-corrected.yaml has it, --correct uses it",
                  DEGREES * e->rotation[0], DEGREES * e->rotation[1], DEGREES * e->rotation[2],
                  e->corrected_px);
-    gate_check(
-        g, rows, match_gate_count, "epipolar_px", px,
-        "matches lie %.3f px from their epipolar curves (median %+.3f): the rig is not what these images "
-        "were taken with%s",
-        px, e->median_px, offer);
+    gate_check(g, rows, match_gate_count, "epipolar_px", px,
+               "%zu automatic matches lie %.3f px from their epipolar curves%s: %s%s", e->matches, px,
+               m->corrected ? ", the right camera turned" : "", epipolar_meaning(m, px, rows), offer);
+}
+
+/* Points of a person that another place fits nearly as well, as on a texture that repeats. */
+static size_t ambiguous_points(const match_job *m)
+{
+    size_t count = 0;
+    for (size_t i = 0; m->mode == MATCH_GUIDED && i < m->point_count; i++) {
+        const match_point *p = &m->point[i];
+        count += p->count && p->candidate[0].runner_up > m->options.uniqueness * p->candidate[0].zncc;
+    }
+    return count;
+}
+
+static void judge_points(match_job *m)
+{
+    size_t unrefined = 0, ambiguous = ambiguous_points(m);
+    for (size_t i = 0; i < m->count; i++) unrefined += !m->match[i].refined;
+    if (ambiguous)
+        gate_add(&m->gate, VERDICT_WARNED,
+                 "%zu of %zu points fit another place nearly as well (ZNCC above %g times the best): look at "
+                 "their candidates and use --choose",
+                 ambiguous, m->point_count, m->options.uniqueness);
+    if (unrefined)
+        gate_add(&m->gate, VERDICT_WARNED,
+                 "%zu of %zu matches are without sigma: their windows could not be refined, for too little "
+                 "texture or an edge of depth in them",
+                 unrefined, m->count);
 }
 
 void match_judge(match_job *m, const gate_row *rows)
@@ -141,8 +178,10 @@ void match_judge(match_job *m, const gate_row *rows)
     if (!m->count)
         gate_add(g, VERDICT_REFUSED, "no point was matched: see what became of them below");
     else if (m->count < m->point_count)
-        gate_add(g, VERDICT_WARNED, "%zu of %zu points have no match", m->point_count - m->count,
-                 m->point_count);
+        gate_add(g, VERDICT_WARNED, "%zu of %zu points have no %s", m->point_count - m->count, m->point_count,
+                 m->mode == MATCH_GUIDED ? "candidate that is a point in space"
+                                         : "place in space: their rays do not meet before the cameras");
+    judge_points(m);
     if (!m->calibration_known)
         gate_add(g, VERDICT_WARNED,
                  "calibration sigma unknown: %s has no covariance, so the points' sigma is that of matching "
@@ -268,6 +307,7 @@ json_t *match_result(const match_job *m)
     set(root, "tally", tally_json(&m->tally));
     set(root, "points", json_integer((json_int_t)m->point_count));
     set(root, "matched", json_integer((json_int_t)m->count));
+    set(root, "ambiguous", json_integer((json_int_t)ambiguous_points(m)));
     set(root, "frame", json_string(m->frame));
     if (m->count) set(root, "sigma_m", sigma_json(m));
     if (m->count) set(root, "depth_m", depth_json(m));
@@ -285,9 +325,10 @@ static void print_points(const match_job *m)
         const td_match *a = &m->match[i];
         const td_point3 *p = &m->space[i];
         double sigma = match_sigma(m->calibration_known ? p->covariance : p->matching);
-        printf("%-8s %9.3f %9.3f %9.3f %9.3f %7.3f %9.4f %9.4f %9.4f %8.2f\n", m->point[m->index[i]].name,
-               a->left[0], a->left[1], a->right[0], a->right[1], a->zncc, p->p[0], p->p[1], p->p[2],
-               1e3 * sigma);
+        char mm[32] = "-";
+        if (isfinite(sigma)) snprintf(mm, sizeof mm, "%.2f", 1e3 * sigma);
+        printf("%-8s %9.3f %9.3f %9.3f %9.3f %7.3f %9.4f %9.4f %9.4f %8s\n", m->point[m->index[i]].name,
+               a->left[0], a->left[1], a->right[0], a->right[1], a->zncc, p->p[0], p->p[1], p->p[2], mm);
     }
     if (shown < m->count) printf("… and %zu more: matches.csv\n", m->count - shown);
 }

@@ -34,7 +34,9 @@ static cli_command command = {
         "distortion, blur, "
         "vignetting and noise, and writes a dataset that other jobs take: dataset.yaml, frames.csv, "
         "rig.yaml, "
-        "CAMERA/FRAME.png. Beside it the truth: truth/CAMERA/FRAME.pfm (depth along the camera's z axis, m, "
+        "CAMERA/FRAME.png; vehicle_from_rig is the scene's mount, in the frame of the link that carries the "
+        "rig "
+        "or of the vehicle. Beside it the truth: truth/CAMERA/FRAME.pfm (depth along the camera's z axis, m, "
         "of each "
         "pixel's centre; NaN: sky; portable float map, lowest row first), truth/poses.csv (site_from_rig), "
         "truth/ground-NAME.tif (heights, m).\n\n"
@@ -401,6 +403,37 @@ static td_status write_tables(job *j, td_error *error)
     return status;
 }
 
+/* The robot's files beside the images, so that the dataset can be moved: robot/robot.urdf, robot/robot.yaml.
+ */
+static td_status copy_robot(const job *j, td_error *error)
+{
+    static const char *const names[2] = {"robot/robot.urdf", "robot/robot.yaml"};
+    const char *urdf = j->file->urdf;
+    td_status status = make_folder("robot", error);
+    for (int k = 0; k < 2 && status == TD_OK; k++) {
+        size_t stem = strlen(urdf), size = 0;
+        char *bytes = NULL, *path = malloc(stem + 6);
+        if (!path) return td_fail(error, TD_ERROR_MEMORY, "out of memory");
+        strcpy(path, urdf);
+        char *dot = strrchr(path, '.');
+        if (k == 1) strcpy(dot && !strchr(dot, '/') ? dot : path + stem, ".yaml");
+        struct stat there;
+        if (k == 0 || stat(path, &there) == 0) {
+            status = td_file_read(&bytes, &size, path, 1 << 26, error);
+            if (status == TD_OK) status = write_file(names[k], bytes, size, error);
+        }
+        free(bytes);
+        free(path);
+    }
+    return status;
+}
+
+static json_t *robot_json(const td_scene_file *f)
+{
+    const char *mount = f->scene.robot->link[f->mount_link < 0 ? 0 : f->mount_link].name;
+    return json_pack("{s:s, s:s, s:s}", "urdf", "robot/robot.urdf", "joints", "frames.csv", "mount", mount);
+}
+
 static td_status write_description(const job *j, td_error *error)
 {
     const td_scene_file *f = j->file;
@@ -411,21 +444,35 @@ static td_status write_description(const job *j, td_error *error)
                         json_sprintf("rendered by teledimos render; truth/ holds what is true"));
     json_object_set_new(root, "rig", json_string("rig.yaml"));
     if (f->target) json_object_set(root, "target", f->target);
+    if (f->urdf) json_object_set_new(root, "robot", robot_json(f));
     for (int c = 0; c < f->rig->count; c++)
         json_array_append_new(cameras, json_pack("{s:s, s:s}", "name", f->rig->camera[c].name, "model",
                                                  td_camera_model_name(f->rig->camera[c].camera.model)));
     json_object_set_new(root, "cameras", cameras);
-    td_status status = td_document_to_yaml(&yaml, root, 0, error);
+    td_status status = f->urdf ? copy_robot(j, error) : TD_OK;
+    if (status == TD_OK) status = td_document_to_yaml(&yaml, root, 0, error);
     if (status == TD_OK) status = write_file("dataset.yaml", yaml, strlen(yaml), error);
     free(yaml);
     json_decref(root);
     return status;
 }
 
+/* The rig with its place on the machine: in the frame of the link that carries it, or of the vehicle. */
+static td_status describe_rig(char **yaml, const td_scene_file *f, td_error *error)
+{
+    td_rig *rig = td_rig_copy(f->rig);
+    if (!rig) return td_fail(error, TD_ERROR_MEMORY, "no memory for the rig");
+    rig->has_vehicle = true;
+    rig->vehicle_from_rig = f->mount_from_rig;
+    td_status status = td_rig_to_yaml(yaml, rig, error);
+    td_rig_free(&rig);
+    return status;
+}
+
 static td_status write_truth(const job *j, td_error *error)
 {
     char *yaml = NULL;
-    TD_TRY(td_rig_to_yaml(&yaml, j->file->rig, error));
+    TD_TRY(describe_rig(&yaml, j->file, error));
     td_status status = write_file("rig.yaml", yaml, strlen(yaml), error);
     free(yaml);
     for (int g = 0; g < j->file->ground_count && status == TD_OK; g++) {

@@ -49,6 +49,7 @@ void td_dataset_free(td_dataset **dataset)
         for (int c = 0; c < d->camera_count; c++) free(d->frame[i].image[c]);
     free(d->frame);
     free(d->folder);
+    free(d->table);
     free(d->corners);
     free(d->robot.path);
     free(d->target_poses.path);
@@ -259,8 +260,8 @@ static td_status parse_description(td_dataset *d, places *p, const td_field *roo
     else if (!(p->root = strdup(d->folder)))
         return out_of_memory(error);
     TD_TRY(td_dataset_parse_arm(&d->arm, root, d->folder, p->root, error));
-    /* Without images neither target nor cameras are needed; boards on an arm have targets of their own; what is
-     * calibrated already can be looked at without a target. */
+    /* Without images neither target nor cameras are needed; boards on an arm have targets of their own; what
+     * is calibrated already can be looked at without a target. */
     bool boards = d->arm && d->arm->board_count, calibrated = td_field_get(root, "rig").value != NULL;
     bool poses_only = td_field_get(root, "target_poses").value || (d->arm && !boards);
     if (target.value || !(poses_only || boards || calibrated))
@@ -420,7 +421,10 @@ static td_status fill(td_dataset *d, const json_t *document, const char *name, c
     if (status == TD_OK && wanted) status = read_frames(d, csv, p.root, error);
     td_csv_free(&csv);
     free(p.root);
-    free(p.frames);
+    if (status == TD_OK)
+        d->table = p.frames;
+    else
+        free(p.frames);
     return status;
 }
 

@@ -18,14 +18,12 @@
  * Of hand-eye sets besides (poses belong to the frames in their order, or by time when both have times):
  *   robot: {poses: poses.csv, convention: auto, inverted: false, length_unit: m, angle_unit: rad,
  *           scalar_first: false}        # base_from_hand; core/robot_poses.h
- *   rig: camera.xml                     # the cameras' calibration in any format of core/rig_formats.h; with it
- *                                       # the target may be missing: images of a site
- *   setup: eye-in-hand                  # or eye-to-hand, robot-world
- *   target_poses: {poses: …}            # poses of the target in the rig (rig_from_target) instead of images;
- *                                       # target, cameras and frames.csv are then not needed
- * Of camera-to-vehicle sets: robot: {urdf: …, joints: …}, points, boards, sights; core/dataset_arm.h.
- * Their files are looked for in the dataset's folder, then at root. A file in a zip archive is
- * "set.zip/folder/name".
+ *   rig: camera.xml                     # the cameras' calibration in any format of core/rig_formats.h; with
+ * it # the target may be missing: images of a site setup: eye-in-hand                  # or eye-to-hand,
+ * robot-world target_poses: {poses: …}            # poses of the target in the rig (rig_from_target) instead
+ * of images; # target, cameras and frames.csv are then not needed Of camera-to-vehicle sets: robot: {urdf: …,
+ * joints: …}, points, boards, sights; core/dataset_arm.h. Their files are looked for in the dataset's folder,
+ * then at root. A file in a zip archive is "set.zip/folder/name".
  *
  * frames.csv: a header; `frame` names the view (optional: else the row's number), a column for each camera
  * (an empty cell: no image), optional `time_s`, optional `height_m` (the board, moved along its own normal to
@@ -68,6 +66,7 @@ typedef struct td_dataset_poses {
 typedef struct td_dataset {
     char name[TD_NAME_SIZE];
     char *folder; /* where dataset.yaml lies */
+    char *table;  /* path of the frames' table; its rows are the frames */
     td_target target;
     int camera_count;
     td_dataset_camera camera[TD_RIG_MAX_CAMERAS];

@@ -128,8 +128,7 @@ static int create_temporary(char **path, const char *folder)
     return -1;
 }
 
-/* Writes, syncs and closes; false with errno set. */
-static bool fill(int fd, const char *bytes, size_t size)
+static bool write_bytes(int fd, const char *bytes, size_t size)
 {
     size_t done = 0;
     while (done < size) {
@@ -138,13 +137,7 @@ static bool fill(int fd, const char *bytes, size_t size)
         if (wrote < 0) break;
         done += (size_t)wrote;
     }
-    bool fine = done == size && fsync(fd) == 0;
-    int cause = errno;
-    /* close() reports what a network file system could not store; after EINTR the descriptor is closed all
-     * the same. */
-    if (close(fd) != 0 && errno != EINTR && fine) return false;
-    errno = cause;
-    return fine;
+    return done == size;
 }
 
 /* Makes the rename itself last. Some file systems cannot sync a folder and say EINVAL: nothing more can be
@@ -168,7 +161,23 @@ static td_status write_failed(const char *path, int cause, td_error *error)
     return td_fail(error, TD_ERROR_IO, "%s: cannot be written: %s%s", path, strerror(cause), advice);
 }
 
-td_status td_file_write(const char *path, const void *bytes, size_t size, td_error *error)
+/* Writes all parts, syncs and closes. */
+static td_status fill(int fd, const char *path, td_file_part part, void *user, td_error *error)
+{
+    const void *bytes = NULL;
+    size_t size = 0;
+    int cause = 0;
+    td_status status = TD_OK;
+    while (!cause && (status = part(&bytes, &size, user, error)) == TD_OK && size > 0)
+        if (!write_bytes(fd, bytes, size)) cause = errno;
+    if (status == TD_OK && !cause && fsync(fd) != 0) cause = errno;
+    /* close() reports what a network file system could not store; after EINTR the descriptor is closed all
+     * the same. */
+    if (close(fd) != 0 && errno != EINTR && !cause) cause = errno;
+    return status == TD_OK && cause ? write_failed(path, cause, error) : status;
+}
+
+td_status td_file_write_parts(const char *path, td_file_part part, void *user, td_error *error)
 {
     /* rename() would put a plain file in the place of a device. */
     struct stat status;
@@ -177,19 +186,47 @@ td_status td_file_write(const char *path, const void *bytes, size_t size, td_err
                        kind_of(status.st_mode));
     char *folder = td_path_folder(path), *temporary = NULL;
     if (!folder) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for its name", path);
-    td_status result = TD_OK;
     int fd = create_temporary(&temporary, folder);
-    if (fd < 0) {
-        result = write_failed(path, errno, error);
-    } else if (!fill(fd, bytes, size) || rename(temporary, path) != 0) {
-        result = write_failed(path, errno, error);
-        unlink(temporary);
-    } else if (!sync_folder(folder)) {
-        result = write_failed(path, errno, error);
-    }
+    td_status result = fd < 0 ? write_failed(path, errno, error) : fill(fd, path, part, user, error);
+    if (result == TD_OK && rename(temporary, path) != 0) result = write_failed(path, errno, error);
+    if (result != TD_OK && temporary) unlink(temporary);
+    if (result == TD_OK && !sync_folder(folder)) result = write_failed(path, errno, error);
     free(temporary);
     free(folder);
     return result;
+}
+
+typedef struct whole {
+    const void *bytes;
+    size_t size;
+} whole;
+
+static td_status whole_part(const void **bytes, size_t *size, void *user, td_error *error)
+{
+    whole *w = user;
+    (void)error;
+    *bytes = w->bytes;
+    *size = w->size;
+    w->size = 0;
+    return TD_OK;
+}
+
+td_status td_file_write(const char *path, const void *bytes, size_t size, td_error *error)
+{
+    whole w = {bytes, size};
+    return td_file_write_parts(path, whole_part, &w, error);
+}
+
+td_status td_file_stream(FILE **file, const char *path, td_error *error)
+{
+    int fd = -1;
+    *file = NULL;
+    TD_TRY(td_file_open(&fd, path, error));
+    *file = fdopen(fd, "rb");
+    if (*file) return TD_OK;
+    int cause = errno;
+    close(fd);
+    return td_fail(error, TD_ERROR_IO, "%s: cannot be opened: %s", path, strerror(cause));
 }
 
 static td_status make_one(const char *path, td_error *error)

@@ -34,6 +34,7 @@ void td_scene_free(td_scene_file **file)
     free(f->scene.solid);
     free(f->scene.picture);
     td_robot_free(&f->scene.robot);
+    free(f->urdf);
     td_rig_free(&f->rig);
     json_decref(f->target);
     free(f->frame);
@@ -140,9 +141,8 @@ static td_status parse_robot(td_scene_file *f, const td_field *field, const char
     if (!field->value) return TD_OK;
     TD_TRY(td_field_check_keys(field, keys, error));
     TD_TRY(td_scene_path(&path, &urdf, folder, error));
-    td_status status = path ? td_robot_read(&f->scene.robot, path, error) : TD_OK;
-    free(path);
-    return status;
+    f->urdf = path;
+    return path ? td_robot_read(&f->scene.robot, path, error) : TD_OK;
 }
 
 static td_status parse_mount(td_scene_file *f, const td_field *field, td_error *error)

@@ -128,6 +128,7 @@ typedef struct td_scene_file {
     td_scene_ground ground[TD_SCENE_MAX_GROUNDS];
     td_scene_image image;
     json_t *target; /* NULL: none */
+    char *urdf;     /* path of the robot's file; NULL: none */
     td_rig *rig;
     int mount_link; /* -1: the vehicle */
     td_pose mount_from_rig;

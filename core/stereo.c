@@ -238,13 +238,12 @@ td_status td_rectify(td_rectification *out, const td_camera *first, const td_cam
     return TD_OK;
 }
 
-typedef struct remap {
-    td_image *out;
-    const td_image *image;
+/* Where rectified pixels of a camera lie in the image as taken. */
+typedef struct lens {
     const td_camera *camera, *rectified;
     td_pose camera_from_rectified;
     double edge; /* cosine of the largest angle off the axis that the image holds */
-} remap;
+} lens;
 
 /* A distortion's polynomial may turn back outside of the image and map directions into it that the lens never
  * saw there; they lie farther off the axis than all of the image's border. */
@@ -262,20 +261,62 @@ static double edge_cosine(const td_camera *camera)
     return least;
 }
 
+static lens lens_of(const td_rectification *rectification, int index, const td_camera *camera)
+{
+    return (lens){camera, &rectification->camera, td_pose_inverse(&rectification->rectified_from[index]),
+                  edge_cosine(camera)};
+}
+
+/* False: the camera did not see it. */
+static bool source_pixel(double pixel[2], const lens *l, double column, double row)
+{
+    const double *p = l->rectified->parameter;
+    double ray[3] = {(column - p[2]) / p[0], (row - p[3]) / p[1], 1};
+    double length = sqrt(dot3(ray, ray));
+    td_pose_rotate(ray, &l->camera_from_rectified, ray);
+    return ray[2] >= l->edge * length && td_camera_project(pixel, NULL, NULL, l->camera, ray) &&
+           pixel[0] >= -0.5 && pixel[0] <= l->camera->width - 0.5 && pixel[1] >= -0.5 &&
+           pixel[1] <= l->camera->height - 0.5;
+}
+
+typedef struct table {
+    float *at;
+    lens lens;
+} table;
+
+static void table_row(size_t row, void *user)
+{
+    const table *t = user;
+    const size_t width = (size_t)t->lens.rectified->width;
+    float *at = t->at + 2 * row * width;
+    for (size_t column = 0; column < width; column++) {
+        double pixel[2];
+        bool seen = source_pixel(pixel, &t->lens, (double)column, (double)row);
+        for (size_t k = 0; k < 2; k++) at[2 * column + k] = seen ? (float)pixel[k] : NAN;
+    }
+}
+
+td_status td_rectify_table(float *at, const td_rectification *rectification, int index,
+                           const td_camera *camera, int threads)
+{
+    table t = {at, lens_of(rectification, index, camera)};
+    return td_parallel_for((size_t)rectification->camera.height, threads, table_row, &t, NULL, NULL);
+}
+
+typedef struct remap {
+    td_image *out;
+    const td_image *image;
+    lens lens;
+} remap;
+
 static void remap_row(size_t row, void *user)
 {
     const remap *m = user;
-    const double *p = m->rectified->parameter;
     int channels = m->out->channels;
     uint8_t *to = m->out->data + row * (size_t)m->out->width * (size_t)channels;
     for (int column = 0; column < m->out->width; column++, to += channels) {
-        double ray[3] = {(column - p[2]) / p[0], ((double)row - p[3]) / p[1], 1}, pixel[2];
-        double length = sqrt(dot3(ray, ray));
-        td_pose_rotate(ray, &m->camera_from_rectified, ray);
-        if (ray[2] < m->edge * length || !td_camera_project(pixel, NULL, NULL, m->camera, ray)) continue;
-        if (!(pixel[0] >= -0.5 && pixel[0] <= m->image->width - 0.5 && pixel[1] >= -0.5 &&
-              pixel[1] <= m->image->height - 0.5))
-            continue;
+        double pixel[2];
+        if (!source_pixel(pixel, &m->lens, column, (double)row)) continue;
         for (int k = 0; k < channels; k++)
             to[k] = (uint8_t)lrint(td_image_sample(m->image, pixel[0], pixel[1], k));
     }
@@ -289,11 +330,6 @@ td_status td_rectify_image(td_image **out, const td_image *image, const td_recti
                        image->width, image->height, camera->width, camera->height);
     TD_TRY(
         td_image_new(out, rectification->camera.width, rectification->camera.height, image->channels, error));
-    remap m = {*out,
-               image,
-               camera,
-               &rectification->camera,
-               td_pose_inverse(&rectification->rectified_from[index]),
-               edge_cosine(camera)};
+    remap m = {*out, image, lens_of(rectification, index, camera)};
     return td_parallel_for((size_t)(*out)->height, threads, remap_row, &m, NULL, NULL);
 }

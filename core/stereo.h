@@ -52,6 +52,11 @@ typedef struct td_rectification {
 TD_API td_status td_rectify(td_rectification *rectification, const td_camera *first, const td_camera *second,
                             const td_pose *second_from_first, double zoom, td_error *error);
 
+/* at (height,width,2) px: where each rectified pixel of camera `index` (0, 1) lies in the image as taken;
+ * NaN: not seen. */
+TD_API td_status td_rectify_table(float *at, const td_rectification *rectification, int index,
+                                  const td_camera *camera, int threads);
+
 /* The rectified image of camera `index` (0, 1) by bilinear interpolation; black where nothing was seen. */
 TD_API td_status td_rectify_image(td_image **out, const td_image *image,
                                   const td_rectification *rectification, int index, const td_camera *camera,

@@ -17,13 +17,15 @@ extern "C" {
 /* A pair made ready for dense matching: rectification, its tables for both images, and the grid of
  * calibration error. Borrows the rig. */
 typedef struct td_depth_camera td_depth_camera;
-/* left, right: cameras of the rig, side by side. near_m, far_m: range of depths of the grid. Refused: a
- * vertical pair. */
+/* left, right: cameras of the rig, side by side. near_m, far_m: depths that are measured, finite. Refused: a
+ * vertical pair, and a left camera that stands at the right. */
 TD_API td_status td_depth_camera_new(td_depth_camera **camera, const td_rig *rig, int left, int right,
                                      double near_m, double far_m, td_error *error);
 TD_API void td_depth_camera_free(td_depth_camera **camera);
 TD_API const td_rectification *td_depth_camera_rectification(const td_depth_camera *camera);
-/* Smallest and largest disparity, px, of depths from near_m to far_m. */
+/* rig_from_rectified of the left camera. */
+TD_API td_pose td_depth_camera_pose(const td_depth_camera *camera);
+/* Smallest disparity and number of levels, px, of depths from near_m to far_m. */
 TD_API void td_depth_camera_range(int *lowest, int *levels, const td_depth_camera *camera);
 
 /* Both images rectified, by tables made once. */
@@ -37,7 +39,8 @@ typedef struct td_depth_point {
     float calibration[6]; /* m^2: xx xy xz yy yz zz, from the rig's covariance; NaN: the rig has none */
 } td_depth_point;
 
-/* The point of rectified left pixel (x, y) with disparity d and its sigma. False: no depth. */
+/* The point of rectified left pixel (x, y) with disparity d and its sigma. False: no depth, or one out of
+ * near_m to far_m. */
 TD_API bool td_depth_camera_point(td_depth_point *point, const td_depth_camera *camera, int x, int y,
                                   float disparity, float sigma);
 

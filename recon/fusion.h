@@ -1,13 +1,22 @@
 /* The elevation map of a site from many frames of a moving base.
  *
- * A cell is a Kalman filter of a height. Its error has two parts that are kept apart: noise, which averages
- * out over measurements, and calibration (of the rig, and of the base's pose where frames share it), which
- * does not. A measurement that contradicts the cell (Mahalanobis distance above the gate) is not believed at
- * once; when N frames in a row say the same, the ground has changed, and the cell begins anew. A ray that
- * passes well below a cell's height says that what stood there is gone (visibility).
+ * A cell is a Kalman filter of a height. Its error has two parts that are kept apart:
+ *   noise, which averages out over measurements: matching, and each frame's own pose;
+ *   calibration of the rig, which does not: it is the same in every frame and is taken as fully correlated.
+ * What is assumed of the noise: matching errors of one frame are those of white noise averaged over a square
+ * of correlation_px; of two frames from one place (place_m) a share `repeat_share` of their variance is the
+ * same error, for the same texture is seen the same way, and the pose's error is the same; frames from two
+ * places share nothing of it. Heights are taken along the vertical of the cell's centre, so that an error
+ * sideways counts as much as the slope makes of it; where the points of a cell scatter far more than their
+ * noise (an edge, a stone) their scatter counts too.
  *
- * Memory: tiles of 128 x 128 cells, made where something is measured; beyond a limit the least recently used
- * are kept in a folder. */
+ * A measurement that contradicts the cell (Mahalanobis distance above the gate) is not believed at once; when
+ * N frames in a row say the same, the ground has changed, and the cell begins anew. A cell that N frames in a
+ * row have looked through (rays to points measured behind it pass more than 3 sigma below its height) is
+ * cleared. Nothing else ever changes a cell.
+ *
+ * Memory: tiles of 128 x 128 cells of 64 bytes, made where something is measured; beyond a limit the least
+ * recently used are kept in a folder. 1 km^2 at 5 cm is 24649 tiles: 25.8 GB if all of it is measured. */
 #ifndef TELEDIMOS_RECON_FUSION_H
 #define TELEDIMOS_RECON_FUSION_H
 
@@ -22,21 +31,26 @@ extern "C" {
 typedef struct td_fusion_options {
     double cell_m;    /* default 0.05 */
     double region[4]; /* x_min, y_min, x_max, y_max, m, of the site; all 0 (default): as far as is measured */
-    double gate_sigma;        /* default 3 */
-    int believe_frames;       /* N; default 3 */
-    double correlation_px;    /* neighbouring pixels share their error over so many pixels; default 5 */
-    size_t memory_bytes;      /* of tiles; default 1 GiB */
-    const char *folder;       /* where tiles go beyond it; NULL: refused then */
+    double gate_sigma;     /* default 3 */
+    int believe_frames;    /* N; default 3 */
+    double correlation_px; /* neighbouring pixels share their error over so many pixels; default 5 */
+    double repeat_share;   /* of matching's variance that frames from one place have in common; default 0.5 */
+    double place_m;      /* frames whose camera moved by less, and turned by less than 0.02 rad, are from one
+                            place; default 0.1 */
+    size_t memory_bytes; /* of tiles, at least one's; default 1 GiB */
+    const char *folder;  /* of this map alone: where tiles go beyond it; NULL: refused then */
     char frame[TD_NAME_SIZE]; /* default "site" */
     int threads;              /* 0: one per processor; the result does not depend on it */
 } td_fusion_options;
 TD_API td_fusion_options td_fusion_options_default(void);
+TD_API td_status td_fusion_options_check(const td_fusion_options *options, td_error *error);
 
 typedef struct td_fusion td_fusion;
 TD_API td_status td_fusion_new(td_fusion **fusion, const td_fusion_options *options, td_error *error);
 TD_API void td_fusion_free(td_fusion **fusion);
 
-/* What is known before: cells of provenance prior, with their sigma (or `sigma_m` where the map has none). */
+/* What is known before: cells of provenance prior, with their sigma (or `sigma_m` where the map has none).
+ * Refused after the first frame, and in another frame of reference. */
 TD_API td_status td_fusion_prior(td_fusion *fusion, const td_elevation *prior, double sigma_m,
                                  td_error *error);
 
@@ -47,21 +61,36 @@ typedef struct td_fusion_frame {
     const td_disparity *disparity;
     td_pose site_from_rig;
     const double *pose_covariance;
-    double time_s;
+    double time_s; /* NaN: not known */
 } td_fusion_frame;
 typedef struct td_fusion_tally {
-    size_t points, cells, new_cells, gated, reset, cleared;
+    size_t points;    /* that fell into cells */
+    size_t cells;     /* measured by this frame: */
+    size_t new_cells; /* of these: not known before */
+    size_t gated;     /* of these: contradicted the cell, and not believed yet */
+    size_t reset;     /* of these: believed now */
+    size_t cleared;   /* others, which were looked through */
 } td_fusion_tally;
+/* Disparities that are filled, not matched, are left out. A refused frame changes nothing; after a failure of
+ * memory or of the folder the map is to be given up. `tally` may be NULL. */
 TD_API td_status td_fusion_add(td_fusion *fusion, const td_fusion_frame *frame, td_fusion_tally *tally,
                                td_error *error);
 
-/* The map so far; sigma holds noise and calibration together. `noise` (may be NULL) is given a map whose
- * sigma is the noise alone. */
+/* The map so far, over the region or over the tiles that are known; sigma holds noise and calibration
+ * together. `noise` (may be NULL) is given a map whose sigma is the noise alone. Refused: nothing known, or
+ * more cells than a map may have. */
 TD_API td_status td_fusion_map(td_elevation **map, td_elevation **noise, const td_fusion *fusion,
                                td_error *error);
+/* The same of a rectangle x_min, y_min, x_max, y_max, m: a large site in parts. */
+TD_API td_status td_fusion_map_of(td_elevation **map, td_elevation **noise, const td_fusion *fusion,
+                                  const double region[4], td_error *error);
 TD_API size_t td_fusion_memory(const td_fusion *fusion); /* bytes of tiles in memory */
+/* Bytes that an area of so many m by m takes when all of it is known: in memory up to memory_bytes, else in
+ * the folder. */
+TD_API double td_fusion_memory_of(double width_m, double length_m, double cell_m);
 
-/* The whole state, to go on from after a kill: one file, whole or not at all. */
+/* The whole state, to go on from after a kill: one file, whole or not at all. Loading refuses a damaged file,
+ * and one made with other options, naming the first that differs (memory, folder and threads may). */
 TD_API td_status td_fusion_save(const td_fusion *fusion, const char *path, td_error *error);
 TD_API td_status td_fusion_load(td_fusion **fusion, const td_fusion_options *options, const char *path,
                                 td_error *error);

@@ -27,12 +27,15 @@ enum { TD_DYNAMICS_MAX = 6 + TD_ROBOT_MAX_JOINTS };
 typedef struct td_dynamics td_dynamics;
 
 /* Evaluated without a compiler, for any robot: recursive Newton-Euler and articulated bodies (Featherstone
- * 2008). Links without a mass have none; a robot without any mass is refused. */
+ * 2008). Links without a mass have none; refused are a robot without any mass, and a mass or inertia that is
+ * negative, not symmetric or not a number, named by its link. */
 TD_API td_status td_dynamics_new(td_dynamics **dynamics, const td_robot *robot, td_error *error);
 /* The code that the build generated for datasets/zx200. Refused when `robot` is another (its hash tells). */
 TD_API td_status td_dynamics_zx200(td_dynamics **dynamics, const td_robot *robot, td_error *error);
-/* Generated, compiled with the machine's C compiler ($CC, cc) into `folder` under the robot's hash, and
- * loaded; what was compiled before is loaded at once. No compiler: refused with that. */
+/* Generated, compiled with the machine's C compiler ($CC, cc) into `folder` under a hash of the code, and
+ * loaded; what was compiled before is loaded at once. No compiler: refused with that. Functions too long to
+ * be compiled in seconds (of robots of some dozens of joints) are evaluated as td_dynamics_new does. `folder`
+ * must be the user's own: what is in it is run. */
 TD_API td_status td_dynamics_compile(td_dynamics **dynamics, const td_robot *robot, const char *folder,
                                      td_error *error);
 TD_API void td_dynamics_free(td_dynamics **dynamics);
@@ -45,7 +48,8 @@ TD_API void td_dynamics_parameters(double *parameter, const td_dynamics *dynamic
 /* Inverse dynamics (6+n). `coriolis` false leaves out centrifugal and Coriolis terms. */
 TD_API void td_dynamics_inverse(double *force, const td_dynamics *dynamics, const double *q, const double *nu,
                                 const double *acceleration, const double gravity[3], bool coriolis);
-/* Forward dynamics (6+n). False: the mass matrix is singular. */
+/* Forward dynamics (6+n). False: the mass matrix is singular, as for a joint that moves no mass, or the state
+ * is no number. */
 TD_API bool td_dynamics_forward(double *acceleration, const td_dynamics *dynamics, const double *q,
                                 const double *nu, const double *force, const double gravity[3],
                                 bool coriolis);

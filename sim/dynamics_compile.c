@@ -4,7 +4,6 @@
 #include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
-#include <signal.h>
 #include <spawn.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -23,64 +22,87 @@ extern char **environ;
 
 /* ---- the compiler ---- */
 
-/* $CC is a program and perhaps arguments, parted by blanks; they come after ours, so that they win. */
-enum { COMPILER_SIZE = 1024, COMPILER_WORDS = 16 };
+enum { COMPILER_SIZE = 1024, COMPILER_WORDS = 32 };
 
-static td_status run_compiler(const char *source, const char *library, const char *messages, td_error *error)
+/* A command line in pieces: no shell reads it. */
+typedef struct command {
+    char words[COMPILER_SIZE];
+    const char *argv[COMPILER_WORDS];
+    int count;
+} command;
+
+/* Adds a word while there is room for it and the NULL at the end. */
+static void add_word(command *c, const char *word)
+{
+    if (c->count < COMPILER_WORDS - 1) c->argv[c->count++] = word;
+}
+
+/* $CC is a program and perhaps arguments, parted by blanks; they come after our flags, so that they win. */
+static td_status make_command(command *c, const char *source, const char *library, td_error *error)
 {
     static const char *const flags[] = {"-std=c17",        "-O2",   "-ffp-contract=off",
                                         "-fno-math-errno", "-fPIC", "-shared"};
-    enum { FLAGS = sizeof flags / sizeof *flags };
     const char *chosen = getenv("CC");
-    char words[COMPILER_SIZE], *rest = NULL;
-    const char *argv[COMPILER_WORDS + FLAGS + 5];
-    int count = 0;
+    char *rest = NULL;
+    *c = (command){0};
     if (!chosen || !*chosen) chosen = "cc";
-    if (strlen(chosen) >= sizeof words)
+    if (strlen(chosen) >= sizeof c->words)
         return td_fail(error, TD_ERROR_ARGUMENT,
                        "CC in the environment is too long; name a C compiler there");
-    strcpy(words, chosen);
-    argv[count] = strtok_r(words, " \t", &rest);
-    if (!argv[count++]) return td_fail(error, TD_ERROR_ARGUMENT, "CC in the environment names no compiler");
-    for (int i = 0; i < FLAGS; i++) argv[count++] = flags[i];
-    for (char *word; count <= COMPILER_WORDS + FLAGS && (word = strtok_r(NULL, " \t", &rest));)
-        argv[count++] = word;
-    argv[count++] = "-o";
-    argv[count++] = library;
-    argv[count++] = source;
-    argv[count++] = "-lm";
-    argv[count] = NULL;
+    strcpy(c->words, chosen);
+    const char *program = strtok_r(c->words, " \t", &rest);
+    if (!program) return td_fail(error, TD_ERROR_ARGUMENT, "CC in the environment names no compiler");
+    add_word(c, program);
+    for (size_t i = 0; i < sizeof flags / sizeof *flags; i++) add_word(c, flags[i]);
+    const char *const last[] = {"-o", library, source, "-lm"};
+    const int room = COMPILER_WORDS - 1 - (int)(sizeof last / sizeof *last);
+    for (const char *word; c->count < room && (word = strtok_r(NULL, " \t", &rest));) add_word(c, word);
+    for (size_t i = 0; i < sizeof last / sizeof *last; i++) add_word(c, last[i]);
+    return TD_OK;
+}
 
+/* Starts it with nothing to read and all it says in the file `messages`; an error number, or 0. */
+static int start(pid_t *child, const command *c, const char *messages)
+{
     posix_spawn_file_actions_t actions;
-    pid_t child;
-    int ended = 0;
-    if (posix_spawn_file_actions_init(&actions) != 0)
-        return td_fail(error, TD_ERROR_MEMORY, "no memory to start the compiler");
-    int failed = posix_spawn_file_actions_addopen(&actions, 0, "/dev/null", O_RDONLY, 0);
+    int failed = posix_spawn_file_actions_init(&actions);
+    if (failed) return failed;
+    failed = posix_spawn_file_actions_addopen(&actions, 0, "/dev/null", O_RDONLY, 0);
     if (!failed)
         failed = posix_spawn_file_actions_addopen(&actions, 1, messages, O_WRONLY | O_CREAT | O_TRUNC, 0600);
     if (!failed) failed = posix_spawn_file_actions_adddup2(&actions, 1, 2);
     if (!failed)
-        failed = posix_spawnp(&child, argv[0], &actions, NULL, (char *const *)(const void *)argv, environ);
+        failed =
+            posix_spawnp(child, c->argv[0], &actions, NULL, (char *const *)(const void *)c->argv, environ);
     posix_spawn_file_actions_destroy(&actions);
-    if (failed)
-        return td_fail(error, TD_ERROR_NOT_FOUND,
-                       "the C compiler '%.200s' cannot be started (%s); install one or name it in CC, or use "
-                       "the evaluation that needs none",
-                       argv[0], strerror(failed));
+    return failed;
+}
+
+static td_status cannot_start(const char *program, const char *why, td_error *error)
+{
+    return td_fail(error, TD_ERROR_NOT_FOUND,
+                   "the C compiler '%.200s' cannot be started (%s); install one or name it in CC, or use the "
+                   "evaluation that needs none",
+                   program, why);
+}
+
+static td_status run_compiler(const char *source, const char *library, const char *messages, td_error *error)
+{
+    command c;
+    pid_t child;
+    int ended = 0;
+    TD_TRY(make_command(&c, source, library, error));
+    const int failed = start(&child, &c, messages);
+    if (failed) return cannot_start(c.argv[0], strerror(failed), error);
     while (waitpid(child, &ended, 0) < 0)
         if (errno != EINTR)
             return td_fail(error, TD_ERROR_IO, "the C compiler was lost: %s", strerror(errno));
     if (WIFEXITED(ended) && WEXITSTATUS(ended) == 0) return TD_OK;
+    if (WIFEXITED(ended) && WEXITSTATUS(ended) == 127) return cannot_start(c.argv[0], "not found", error);
     char *said = NULL;
     size_t size = 0;
-    if (WIFEXITED(ended) && WEXITSTATUS(ended) == 127)
-        return td_fail(error, TD_ERROR_NOT_FOUND,
-                       "the C compiler '%.200s' cannot be started; install one or name it in CC, or use the "
-                       "evaluation that needs none",
-                       argv[0]);
-    td_file_read(&said, &size, messages, 1 << 20, NULL);
-    td_fail(error, TD_ERROR_EXTERNAL, "the C compiler '%.200s' failed: %.300s", argv[0],
+    if (td_file_read(&said, &size, messages, 1 << 20, NULL) != TD_OK) said = NULL;
+    td_fail(error, TD_ERROR_EXTERNAL, "the C compiler '%.200s' failed: %.300s", c.argv[0],
             said && *said ? said : "it said nothing");
     free(said);
     return TD_ERROR_EXTERNAL;

@@ -10,7 +10,7 @@
 enum { MOST_FLOPS = 8000 };
 
 typedef struct maker {
-    const td_tree *tree;
+    td_tree *tree; /* (2): with the base given what its children can, and spared */
     const char *prefix;
     FILE *to;
     size_t flops[TD_FUNCTION_COUNT];
@@ -82,8 +82,15 @@ static size_t output_count(const maker *m, int function)
     return function == TD_FUNCTION_JACOBIAN ? 6 * n : n;
 }
 
+/* Ways to the same function: the first are forward dynamics' alone. */
+typedef struct variant {
+    bool from_base;
+    int pivot;
+    bool spare_base;
+} variant;
+
 /* The text of a function's body; NULL: out of memory. *flops SIZE_MAX: too long. */
-static char *body_text(const maker *m, int function, int link, bool from_base, size_t *flops)
+static char *body_text(const maker *m, int function, int link, variant v, size_t *flops)
 {
     const bool forward = function == TD_FUNCTION_FORWARD || function == TD_FUNCTION_FORWARD_STILL;
     const size_t count = output_count(m, function), n = (size_t)m->tree->body_count + 5;
@@ -96,12 +103,13 @@ static char *body_text(const maker *m, int function, int link, bool from_base, s
     if (done) {
         td_symbol *pivot = output + count, *diagonal = pivot + n;
         bool regular = true;
-        w->tree = m->tree;
+        w->tree = m->tree + v.spare_base;
+        w->pivot = v.pivot;
         td_graph_begin(&w->graph);
         if (function == TD_FUNCTION_JACOBIAN)
             td_write_jacobian(w, output, link);
         else
-            regular = write_symbols(w, function, output, pivot, diagonal, from_base);
+            regular = write_symbols(w, function, output, pivot, diagonal, v.from_base);
         *flops = 0;
         if (w->graph.full)
             *flops = SIZE_MAX;
@@ -122,27 +130,40 @@ static char *body_text(const maker *m, int function, int link, bool from_base, s
     return text;
 }
 
-/* Of the two orders of elimination, the text of the shorter. */
-static char *shorter_text(const maker *m, int function, size_t *flops)
+/* The first turned body on the base; 0: none. */
+static int find_pivot(const td_tree *tree)
 {
-    char *text = body_text(m, function, 0, true, flops);
-    if (!text || (function != TD_FUNCTION_FORWARD && function != TD_FUNCTION_FORWARD_STILL)) return text;
-    size_t other_flops;
-    char *other = body_text(m, function, 0, false, &other_flops);
-    if (!other) {
-        free(text);
-        return NULL;
+    for (int i = 1; i < tree->body_count; i++)
+        if (tree->body[i].parent == 0 && tree->body[i].turned) return i;
+    return 0;
+}
+
+/* Of all ways, the text of the shortest. */
+static char *shortest_text(const maker *m, int function, size_t *flops)
+{
+    const bool forward = function == TD_FUNCTION_FORWARD || function == TD_FUNCTION_FORWARD_STILL;
+    const int pivot = find_pivot(m->tree), ways = forward ? (pivot ? 8 : 4) : 2;
+    char *best = body_text(m, function, 0, (variant){true, 0, false}, flops);
+    if (function == TD_FUNCTION_REGRESSOR || *flops > 4 * MOST_FLOPS) return best; /* none will be short */
+    for (int i = 1; best && i < ways; i++) {
+        const variant v = {.spare_base = i & 1, .from_base = !(i & 2), .pivot = i & 4 ? pivot : 0};
+        size_t other_flops = 0;
+        char *other = body_text(m, function, 0, v, &other_flops);
+        if (!other || other_flops < *flops) {
+            free(best);
+            best = other;
+            *flops = other_flops;
+        } else {
+            free(other);
+        }
     }
-    const bool better = other_flops < *flops;
-    free(better ? text : other);
-    if (better) *flops = other_flops;
-    return better ? other : text;
+    return best;
 }
 
 static td_status make_function(maker *m, int function)
 {
     size_t flops = 0;
-    char *text = shorter_text(m, function, &flops);
+    char *text = shortest_text(m, function, &flops);
     if (!text) return no_memory(m->error);
     m->written[function] = flops <= MOST_FLOPS;
     if (m->written[function]) {
@@ -164,7 +185,7 @@ static td_status make_jacobian(maker *m)
     bool done = true;
     for (int link = 0; done && flops <= MOST_FLOPS && link < m->tree->link_count; link++) {
         size_t more = 0;
-        char *body = body_text(m, TD_FUNCTION_JACOBIAN, link, true, &more);
+        char *body = body_text(m, TD_FUNCTION_JACOBIAN, link, (variant){true, 0, false}, &more);
         done = body != NULL;
         if (done) fprintf(to, "    case %d: {\n%s    } break;\n", link, body);
         flops = more == SIZE_MAX ? more : flops + more;
@@ -218,17 +239,19 @@ td_status td_dynamics_generate(td_generated *generated, const td_robot *robot, c
     if (!is_identifier(prefix))
         return td_fail(error, TD_ERROR_ARGUMENT, "prefix: '%s' is no name in C", prefix);
     TD_TRY(td_dynamics_check(robot, error));
-    td_tree *tree = malloc(sizeof *tree);
+    td_tree *tree = malloc(2 * sizeof *tree);
     char *code = NULL;
     size_t size = 0;
     FILE *to = open_memstream(&code, &size);
     maker m = {.tree = tree, .prefix = prefix, .to = to, .error = error};
     td_status status = TD_OK;
     if (tree && to) {
-        td_tree_build(tree, robot);
+        td_tree_build(tree, robot, false);
+        td_tree_build(tree + 1, robot, true);
         status = make_all(&m, robot);
     }
-    if (!tree || !to || (fclose(to) != 0 && status == TD_OK)) status = no_memory(error);
+    const bool whole = to && fclose(to) == 0 && tree;
+    if (status == TD_OK && !whole) status = no_memory(error);
     free(tree);
     if (status != TD_OK) {
         free(code);

@@ -36,6 +36,10 @@ typedef struct td_writing {
     td_graph graph;
     td_place place[TD_DYNAMICS_MAX];
     td_motion motion[TD_DYNAMICS_MAX];
+    /* Not 0: a turned body on the base. The base's six rows are then those of the same motion and force taken
+     * at this body's origin in its working axes, where the links beyond it couple to fewer of them. */
+    int pivot;
+    td_wrench at_pivot; /* of the bodies from the pivot on; those of the others stay at the base */
 } td_writing;
 
 /* ---- dynamics_generator.c ---- */
@@ -47,12 +51,18 @@ typedef struct td_given {
 
 void td_write_places(td_writing *w);
 void td_write_motion(td_writing *w, td_given given);
+/* A vector of the body in its working axes: given where their turns are 0, as it stands. */
+td_symbol3 td_write_spun(td_writing *w, int body, td_symbol3 a);
 /* From the working axes of `body` to its parent's, and back. */
 td_symbol3 td_write_to_parent(td_writing *w, int body, td_symbol3 a);
 td_symbol3 td_write_from_parent(td_writing *w, int body, td_symbol3 a);
 /* A wrench on `body` about its origin, in its working axes, to one on its parent; the joint's force on the
  * way. */
 td_symbol td_write_pass(td_writing *w, int body, td_wrench *wrench);
+
+/* The base's wrench at the pivot, and the acceleration of the pivot's point of the base at the base. */
+td_wrench td_write_to_pivot(td_writing *w, td_wrench wrench);
+void td_write_from_pivot(td_writing *w, td_symbol3 *alpha, td_symbol3 *acceleration);
 
 void td_write_inverse(td_writing *w, td_symbol *force, td_given given);
 void td_write_mass(td_writing *w, td_symbol *mass);

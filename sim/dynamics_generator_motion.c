@@ -26,11 +26,17 @@ static td_symbol3 input3(td_writing *w, int array, int element)
 
 /* ---- places ---- */
 
-static td_symbol3 spun(td_writing *w, int body, td_symbol3 a)
+td_symbol3 td_write_spun(td_writing *w, int body, td_symbol3 a)
 {
     const td_turn turn = w->place[body].turn;
     if (turn.axis < 0 || w->tree->body[body].turned) return a;
     return td_turn_apply(&w->graph, turn, a);
+}
+
+static td_symbol joint_position(td_writing *w, int index)
+{
+    const td_symbol q = input(w, TD_INPUT_Q, index - 1);
+    return turns(w->tree->body + index) ? td_symbol_angle(&w->graph, q) : q;
 }
 
 static void place_body(td_writing *w, int index)
@@ -39,7 +45,7 @@ static void place_body(td_writing *w, int index)
     const td_body *body = w->tree->body + index;
     const bool parent_spins = body->parent > 0 && !w->tree->body[body->parent].turned;
     td_place *place = w->place + index;
-    const td_symbol q = input(w, TD_INPUT_Q, index - 1);
+    const td_symbol q = joint_position(w, index);
     const td_symbol3 axis = td_symbol3_constant(g, body->axis);
     td_symbol3 offset = td_symbol3_constant(g, body->offset);
     place->angle = parent_spins ? w->place[body->parent].angle : 0;
@@ -49,9 +55,9 @@ static void place_body(td_writing *w, int index)
             body->sign > 0 ? td_symbol_add(g, place->angle, q) : td_symbol_subtract(g, place->angle, q);
     } else {
         offset = td_symbol3_add(g, offset, td_symbol3_scale(g, q, axis));
-        place->axis = spun(w, body->parent, axis);
+        place->axis = td_write_spun(w, body->parent, axis);
     }
-    place->offset = spun(w, body->parent, offset);
+    place->offset = td_write_spun(w, body->parent, offset);
     place->turn = (td_turn){-1, 1, 0};
     if (body->spin >= 0)
         place->turn =
@@ -61,6 +67,8 @@ static void place_body(td_writing *w, int index)
 void td_write_places(td_writing *w)
 {
     w->place[0] = (td_place){.turn = {-1, 1, 0}};
+    for (int i = 1; i < w->tree->body_count; i++)
+        joint_position(w, i); /* branches first, while little lives */
     for (int i = 1; i < w->tree->body_count; i++) place_body(w, i);
 }
 
@@ -235,6 +243,25 @@ td_symbol td_write_pass(td_writing *w, int index, td_wrench *wrench)
     return at_joint;
 }
 
+td_wrench td_write_to_pivot(td_writing *w, td_wrench wrench)
+{
+    td_graph *g = &w->graph;
+    if (w->pivot == 0) return wrench;
+    const td_symbol3 shift = td_symbol3_cross(g, w->place[w->pivot].offset, wrench.force);
+    const td_symbol3 moment = td_symbol3_subtract(g, wrench.moment, shift);
+    return (td_wrench){td_write_from_parent(w, w->pivot, moment),
+                       td_write_from_parent(w, w->pivot, wrench.force)};
+}
+
+void td_write_from_pivot(td_writing *w, td_symbol3 *alpha, td_symbol3 *acceleration)
+{
+    td_graph *g = &w->graph;
+    if (w->pivot == 0) return;
+    *alpha = td_write_to_parent(w, w->pivot, *alpha);
+    *acceleration = td_symbol3_add(g, td_write_to_parent(w, w->pivot, *acceleration),
+                                   td_symbol3_cross(g, w->place[w->pivot].offset, *alpha));
+}
+
 void td_write_inverse(td_writing *w, td_symbol *force, td_given given)
 {
     td_graph *g = &w->graph;
@@ -244,7 +271,10 @@ void td_write_inverse(td_writing *w, td_symbol *force, td_given given)
     for (int i = 0; i < w->tree->body_count; i++) wrench[i] = wrench_of(w, i);
     for (int i = w->tree->body_count - 1; i > 0; i--) {
         td_wrench *parent = wrench + w->tree->body[i].parent;
+        const bool is_pivot = i == w->pivot;
+        if (is_pivot) w->at_pivot = wrench[i];
         force[5 + i] = td_write_pass(w, i, wrench + i);
+        if (is_pivot) continue;
         parent->moment = td_symbol3_add(g, parent->moment, wrench[i].moment);
         parent->force = td_symbol3_add(g, parent->force, wrench[i].force);
     }
@@ -265,6 +295,12 @@ static td_symbol_inertia inertia_in_parent(td_writing *w, int index, td_symbol_i
     if (body->is_after) inertia = td_symbol_inertia_rotate(g, body->after, inertia);
     inertia = td_symbol_inertia_turn(g, w->place[index].turn, inertia);
     return body->is_before ? td_symbol_inertia_rotate(g, body->before, inertia) : inertia;
+}
+
+static const double *transposed(double to[9], const double r[9])
+{
+    for (int i = 0; i < 9; i++) to[i] = r[3 * (i % 3) + i / 3];
+    return to;
 }
 
 /* I a = tr(J) a - J a: what turns a body with unit angular acceleration a. */
@@ -290,22 +326,55 @@ static void set_entry(td_writing *w, td_symbol *mass, int row, int column, td_sy
     mass[row * n + column] = mass[column * n + row] = value;
 }
 
-/* Unit acceleration of the joint: the composite body's wrench (in the parent's working axes) up the tree. */
-static void write_column(td_writing *w, td_symbol *mass, int index, td_symbol_inertia inertia)
+/* The wrench that gives a composite body unit acceleration along a joint's axis. */
+static td_wrench unit_wrench(td_writing *w, int index, td_symbol_inertia inertia, td_symbol3 axis)
 {
     td_graph *g = &w->graph;
-    const td_symbol3 axis = w->place[index].axis, offset = w->place[index].offset;
-    const bool turning = turns(w->tree->body + index);
-    td_wrench wrench = {td_symbol3_cross(g, inertia.h, axis), td_symbol3_scale(g, inertia.mass, axis)};
-    if (turning) wrench = (td_wrench){inertia_times(w, inertia, axis), td_symbol3_cross(g, axis, inertia.h)};
-    set_entry(w, mass, 5 + index, 5 + index, td_symbol3_dot(g, axis, turning ? wrench.moment : wrench.force));
-    wrench.moment = td_symbol3_add(g, wrench.moment, td_symbol3_cross(g, offset, wrench.force));
-    for (int up = w->tree->body[index].parent; up > 0; up = w->tree->body[up].parent)
-        set_entry(w, mass, 5 + index, 5 + up, td_write_pass(w, up, &wrench));
+    if (turns(w->tree->body + index))
+        return (td_wrench){inertia_times(w, inertia, axis), td_symbol3_cross(g, axis, inertia.h)};
+    return (td_wrench){td_symbol3_cross(g, inertia.h, axis), td_symbol3_scale(g, inertia.mass, axis)};
+}
+
+static void set_base_rows(td_writing *w, td_symbol *mass, int index, td_wrench wrench)
+{
     for (int k = 0; k < 3; k++) {
         set_entry(w, mass, 5 + index, k, wrench.moment.v[k]);
         set_entry(w, mass, 5 + index, 3 + k, wrench.force.v[k]);
     }
+}
+
+/* Unit acceleration of the joint: its composite body's wrench, at each joint up the tree. */
+static void write_column(td_writing *w, td_symbol *mass, int index, td_symbol_inertia inertia)
+{
+    bool beyond_pivot = false;
+    td_symbol3 axis = td_write_from_parent(w, index, w->place[index].axis);
+    td_wrench wrench = unit_wrench(w, index, inertia, axis);
+    for (int up = index; up > 0; up = w->tree->body[up].parent) {
+        if (up == w->pivot) {
+            set_base_rows(w, mass, index, wrench);
+            beyond_pivot = true;
+        }
+        set_entry(w, mass, 5 + index, 5 + up, td_write_pass(w, up, &wrench));
+    }
+    if (!beyond_pivot) set_base_rows(w, mass, index, td_write_to_pivot(w, wrench));
+}
+
+/* What hangs on the base without the pivot, about the pivot's origin in its axes, and with what is beyond it.
+ */
+static td_symbol_inertia inertia_at_pivot(td_writing *w, td_symbol_inertia rest, td_symbol_inertia beyond)
+{
+    td_graph *g = &w->graph;
+    const td_body *body = w->tree->body + w->pivot;
+    const td_symbol3 zero = td_symbol3_zero();
+    const td_symbol_inertia nothing = {.axis = rest.axis};
+    td_turn turn = w->place[w->pivot].turn;
+    turn.s = td_symbol_negate(g, turn.s);
+    rest = td_symbol_inertia_join(g, nothing, rest, td_symbol3_subtract(g, zero, w->place[w->pivot].offset));
+    double back[9];
+    if (body->is_before) rest = td_symbol_inertia_rotate(g, transposed(back, body->before), rest);
+    rest = td_symbol_inertia_turn(g, turn, rest);
+    if (body->is_after) rest = td_symbol_inertia_rotate(g, transposed(back, body->after), rest);
+    return td_symbol_inertia_join(g, beyond, rest, zero);
 }
 
 static void write_base(td_writing *w, td_symbol *mass, td_symbol_inertia inertia)
@@ -333,9 +402,10 @@ void td_write_mass(td_writing *w, td_symbol *mass)
     for (int i = 0; i < count; i++) composite[i] = inertia_of(w, i);
     for (int i = count - 1; i > 0; i--) {
         td_symbol_inertia *parent = composite + w->tree->body[i].parent;
+        write_column(w, mass, i, composite[i]);
+        if (i == w->pivot) continue;
         const td_symbol_inertia own = inertia_in_parent(w, i, composite[i]);
-        write_column(w, mass, i, own);
         *parent = td_symbol_inertia_join(&w->graph, *parent, own, w->place[i].offset);
     }
-    write_base(w, mass, composite[0]);
+    write_base(w, mass, w->pivot ? inertia_at_pivot(w, composite[0], composite[w->pivot]) : composite[0]);
 }

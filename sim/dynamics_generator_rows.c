@@ -1,17 +1,10 @@
 /* Rows over symbols: the regressor in the inertial parameters, and Jacobians of links. */
 #include "sim/dynamics_generator_internal.h"
 
-static td_symbol3 spun(td_writing *w, int body, td_symbol3 a)
-{
-    const td_turn turn = w->place[body].turn;
-    if (turn.axis < 0 || w->tree->body[body].turned) return a;
-    return td_turn_apply(&w->graph, turn, a);
-}
-
 /* From a link's own axes to the working axes of its body, and back. */
 static td_symbol3 from_link(td_writing *w, const td_body_link *link, td_symbol3 a)
 {
-    return spun(w, link->body, td_rotate_apply(&w->graph, link->rotation, a));
+    return td_write_spun(w, link->body, td_rotate_apply(&w->graph, link->rotation, a));
 }
 
 static td_symbol3 to_link(td_writing *w, const td_body_link *link, td_symbol3 a)
@@ -55,7 +48,7 @@ static void write_parameter(td_writing *w, td_symbol *regressor, int link, int w
     const td_body_link *at = w->tree->link + link;
     const int columns = 10 * w->tree->link_count, column = 10 * link + which;
     td_wrench wrench = unit_wrench(g, m, which);
-    const td_symbol3 offset = spun(w, at->body, td_symbol3_constant(g, at->offset));
+    const td_symbol3 offset = td_write_spun(w, at->body, td_symbol3_constant(g, at->offset));
     wrench.moment = from_link(w, at, wrench.moment);
     wrench.force = from_link(w, at, wrench.force);
     wrench.moment = td_symbol3_add(g, wrench.moment, td_symbol3_cross(g, offset, wrench.force));
@@ -77,7 +70,7 @@ void td_write_regressor(td_writing *w, td_symbol *regressor)
     for (int i = 0; i < w->tree->link_count && !g->failed; i++) {
         const td_body_link *link = w->tree->link + i;
         const td_motion *body = w->motion + link->body;
-        const td_symbol3 offset = spun(w, link->body, td_symbol3_constant(g, link->offset));
+        const td_symbol3 offset = td_write_spun(w, link->body, td_symbol3_constant(g, link->offset));
         const td_symbol3 acceleration =
             td_symbol3_add(g, body->acceleration, td_symbol33_apply(g, body->u, offset));
         const td_motion m = {.omega = to_link(w, link, body->omega),
@@ -110,7 +103,7 @@ void td_write_jacobian(td_writing *w, td_symbol *jacobian, int link)
     const int n = w->tree->body_count + 5;
     for (int i = 0; i < 6 * n; i++) jacobian[i] = 0;
     td_write_places(w);
-    td_symbol3 arm = spun(w, at->body, td_symbol3_constant(g, at->offset));
+    td_symbol3 arm = td_write_spun(w, at->body, td_symbol3_constant(g, at->offset));
     for (int body = at->body; body > 0; body = w->tree->body[body].parent) {
         const td_place *place = w->place + body;
         const bool prismatic = w->tree->body[body].kind == TD_JOINT_PRISMATIC;

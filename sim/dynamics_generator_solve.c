@@ -17,13 +17,23 @@ static void choose_order(int *order, int n, bool from_base)
     }
 }
 
+/* A pivot that is a number: 0, or what rounding left of the diagonal it began as. */
+static bool is_nothing(const td_graph *g, td_symbol pivot, td_symbol diagonal)
+{
+    if (!td_symbol_is_constant(g, pivot)) return false;
+    const double value = g->node[pivot].value, start = g->node[diagonal].value; /* 0: not a number yet */
+    return !(value > 1e-13 * start);
+}
+
 /* Solves m x = x, both overwritten. False: a pivot is 0 whatever q. */
-static bool solve(td_graph *g, td_symbol *m, td_symbol *x, td_symbol *pivot, const int *order, int n)
+static bool solve(td_graph *g, td_symbol *m, td_symbol *x, td_symbol *pivot, const td_symbol *diagonal,
+                  const int *order, int n)
 {
     for (int k = 0; k < n; k++) {
         const int row = order[k];
         pivot[row] = m[row * n + row];
-        if (td_symbol_is_constant(g, pivot[row]) && !(g->node[pivot[row]].value > 0)) return false;
+        if (g->failed) return true;
+        if (is_nothing(g, pivot[row], diagonal[row])) return false;
         const td_symbol inverse = td_symbol_divide(g, 1, pivot[row]);
         for (int i = k + 1; i < n; i++) {
             const int below = order[i];
@@ -46,30 +56,48 @@ static bool solve(td_graph *g, td_symbol *m, td_symbol *x, td_symbol *pivot, con
     return true;
 }
 
+/* Force less velocity terms, the base's at the pivot. */
+static void write_rest(td_writing *w, td_symbol *rest, bool coriolis)
+{
+    td_graph *g = &w->graph;
+    const int n = w->tree->body_count + 5;
+    td_symbol bias[TD_DYNAMICS_MAX];
+    td_write_inverse(w, bias, (td_given){.omega = coriolis, .rates = coriolis});
+    for (int i = 0; i < n; i++)
+        rest[i] = td_symbol_subtract(g, td_symbol_input(g, TD_INPUT_FORCE * TD_INPUT_STRIDE + i), bias[i]);
+    if (w->pivot == 0) return;
+    const td_wrench moved =
+        td_write_to_pivot(w, (td_wrench){{{rest[0], rest[1], rest[2]}}, {{rest[3], rest[4], rest[5]}}});
+    for (int k = 0; k < 3; k++) {
+        rest[k] = td_symbol_subtract(g, moved.moment.v[k], w->at_pivot.moment.v[k]);
+        rest[3 + k] = td_symbol_subtract(g, moved.force.v[k], w->at_pivot.force.v[k]);
+    }
+}
+
 bool td_write_forward(td_writing *w, td_symbol *acceleration, td_symbol *pivot, td_symbol *diagonal,
                       bool coriolis, bool from_base)
 {
     td_graph *g = &w->graph;
     const int n = w->tree->body_count + 5;
     int order[TD_DYNAMICS_MAX];
-    td_symbol bias[TD_DYNAMICS_MAX];
     td_symbol *mass = malloc((size_t)n * (size_t)n * sizeof *mass);
     if (!mass) {
         g->failed = true;
         return true;
     }
-    td_write_inverse(w, bias, (td_given){.omega = coriolis, .rates = coriolis});
+    write_rest(w, acceleration, coriolis);
     td_write_mass(w, mass);
-    for (int i = 0; i < n; i++) {
-        const td_symbol force = td_symbol_input(g, TD_INPUT_FORCE * TD_INPUT_STRIDE + i);
-        acceleration[i] = td_symbol_subtract(g, force, bias[i]);
-        diagonal[i] = mass[i * n + i];
-    }
+    for (int i = 0; i < n; i++) diagonal[i] = mass[i * n + i];
     choose_order(order, n, from_base);
-    const bool regular = solve(g, mass, acceleration, pivot, order, n);
-    for (int k = 0; k < 3; k++)
-        acceleration[3 + k] =
-            td_symbol_add(g, acceleration[3 + k], td_symbol_input(g, TD_INPUT_GRAVITY * TD_INPUT_STRIDE + k));
+    const bool regular = solve(g, mass, acceleration, pivot, diagonal, order, n);
+    td_symbol3 alpha = {{acceleration[0], acceleration[1], acceleration[2]}};
+    td_symbol3 a = {{acceleration[3], acceleration[4], acceleration[5]}};
+    td_write_from_pivot(w, &alpha, &a);
+    for (int k = 0; k < 3; k++) {
+        const td_symbol gravity = td_symbol_input(g, TD_INPUT_GRAVITY * TD_INPUT_STRIDE + k);
+        acceleration[k] = alpha.v[k];
+        acceleration[3 + k] = td_symbol_add(g, a.v[k], gravity);
+    }
     free(mass);
     return regular;
 }

@@ -64,7 +64,8 @@ typedef struct td_tree {
     td_body_link link[TD_ROBOT_MAX_LINKS];
 } td_tree;
 
-void td_tree_build(td_tree *tree, const td_robot *robot);
+/* `spare_base`: the base is given no mass and first moment, which pays where its own inertia is simple. */
+void td_tree_build(td_tree *tree, const td_robot *robot, bool spare_base);
 
 /* ---- generated code ---- */
 

@@ -176,6 +176,11 @@ td_symbol td_symbol_divide(td_graph *graph, td_symbol a, td_symbol b)
     return make(graph, TD_SYMBOL_DIVIDE, a, b, 0);
 }
 
+td_symbol td_symbol_angle(td_graph *graph, td_symbol a)
+{
+    return make(graph, TD_SYMBOL_ANGLE, a, 0, 0);
+}
+
 td_symbol td_symbol_sine(td_graph *graph, td_symbol a)
 {
     if (is_negated(graph, a)) return td_symbol_negate(graph, td_symbol_sine(graph, graph->node[a].a));

@@ -17,6 +17,7 @@ typedef enum td_symbol_kind {
     TD_SYMBOL_MULTIPLY,
     TD_SYMBOL_DIVIDE,
     TD_SYMBOL_NEGATE,
+    TD_SYMBOL_ANGLE, /* a, or the same angle within a turn where a is large */
     TD_SYMBOL_SINE,
     TD_SYMBOL_COSINE
 } td_symbol_kind;
@@ -49,6 +50,7 @@ td_symbol td_symbol_subtract(td_graph *graph, td_symbol a, td_symbol b);
 td_symbol td_symbol_multiply(td_graph *graph, td_symbol a, td_symbol b);
 td_symbol td_symbol_divide(td_graph *graph, td_symbol a, td_symbol b);
 td_symbol td_symbol_negate(td_graph *graph, td_symbol a);
+td_symbol td_symbol_angle(td_graph *graph, td_symbol a);
 td_symbol td_symbol_sine(td_graph *graph, td_symbol a);
 td_symbol td_symbol_cosine(td_graph *graph, td_symbol a);
 bool td_symbol_is_constant(const td_graph *graph, td_symbol a);

@@ -173,13 +173,12 @@ td_symbol_inertia td_symbol_inertia_rotate(td_graph *graph, const double r[9], t
     return a;
 }
 
-/* J + r h^T + h r^T + m r r^T = J + r g^T + h r^T with g = h + m r. */
+/* J + r h^T + h r^T + m r r^T = J + r p^T + p r^T with p = h + m r / 2. */
 td_symbol_inertia td_symbol_inertia_join(td_graph *graph, td_symbol_inertia b, td_symbol_inertia a,
                                          td_symbol3 r)
 {
     const int k = b.axis, i = (k + 1) % 3, j = (k + 2) % 3;
     a = td_symbol_inertia_about(graph, a, k);
-    /* p = h + m r / 2: r h^T + h r^T + m r r^T = r p^T + p r^T. */
     const td_symbol half = td_symbol_multiply(graph, td_symbol_constant(graph, 0.5), a.mass);
     const td_symbol3 p = td_symbol3_add(graph, a.h, td_symbol3_scale(graph, half, r));
     const td_symbol ii = td_symbol_multiply(graph, r.v[i], p.v[i]),

@@ -316,7 +316,7 @@ static void moment_in_parent(double to[9], const td_body *body, const double mom
     rotate_moment(to, r, moment);
 }
 
-static void regroup(td_tree *tree, int index, const double axis[3])
+static void regroup(td_tree *tree, int index, const double axis[3], bool spare_base)
 {
     td_body *body = tree->body + index, *parent = tree->body + body->parent;
     double j[9];
@@ -327,7 +327,8 @@ static void regroup(td_tree *tree, int index, const double axis[3])
         memset(body->moment, 0, sizeof body->moment);
         return;
     }
-    const double h = dot(body->h, axis);
+    const bool spared = spare_base && body->parent == 0;
+    const double mass = spared ? 0 : body->mass, h = spared ? 0 : dot(body->h, axis);
     double across[3];
     apply(across, body->moment, axis);
     const double along = dot(across, axis);
@@ -335,9 +336,9 @@ static void regroup(td_tree *tree, int index, const double axis[3])
         body->moment[i] -= along * axis[i / 3] * axis[i % 3];
         j[i] = along * body->axis[i / 3] * body->axis[i % 3];
     }
-    give(parent, body->offset, body->axis, body->mass, h, j);
+    give(parent, body->offset, body->axis, mass, h, j);
     for (int k = 0; k < 3; k++) body->h[k] -= h * axis[k];
-    body->mass = 0;
+    body->mass -= mass;
 }
 
 /* Differences of equal numbers leave round-off, which would be code: against the size of the whole. */
@@ -357,7 +358,7 @@ static void choose_inertia_axis(td_tree *tree, int index)
     if (body->inertia_axis < 0) body->inertia_axis = 2;
 }
 
-void td_tree_build(td_tree *tree, const td_robot *robot)
+void td_tree_build(td_tree *tree, const td_robot *robot, bool spare_base)
 {
     static const raw base = {.rotation = {1, 0, 0, 0, 1, 0, 0, 0, 1}, .working = {1, 0, 0, 0, 1, 0, 0, 0, 1}};
     builder b = {.tree = tree, .robot = robot};
@@ -381,7 +382,7 @@ void td_tree_build(td_tree *tree, const td_robot *robot)
         for (int k = 0; k < 3; k++) reach = fmax(reach, fabs(body->h[k]));
         apply(axis, b.body[i].working, b.body[i].axis);
         snap(axis, 3);
-        if (i > 0) regroup(tree, i, axis);
+        if (i > 0) regroup(tree, i, axis, spare_base);
         clean(body->moment, 9, size);
         clean(body->h, 3, reach);
     }

@@ -11,6 +11,8 @@ PROGRAM = os.environ["TELEDIMOS"]
 SOURCE = os.environ["TELEDIMOS_SOURCE"]
 FULL = os.environ.get("TELEDIMOS_FULL", "0") not in ("", "0")
 SANITIZED = "debug" in PROGRAM
+if SANITIZED:  # the sanitizer's dlopen does not look where the program says
+    os.environ["LD_LIBRARY_PATH"] = os.path.join(os.path.dirname(PROGRAM), "../lib")
 quick = False  # calibrations without the choice of models, for tests that are slow when sanitized
 failures = []
 passed = 0

@@ -12,6 +12,7 @@ import time
 
 import cv2
 import numpy as np
+import yaml
 
 from common import PROGRAM, SOURCE, check, finish, refused, run
 
@@ -126,6 +127,10 @@ def test_dataset(scene, folder):
         rows = list(csv.DictReader(file))
     check(len(rows) == 6 and all(os.path.isfile(os.path.join(out, row["left"])) for row in rows), "frames.csv names the images")
     check(os.path.isfile(f"{out}/truth/ground-second.tif") and os.path.isfile(f"{out}/rig.yaml"), "maps and rig are there")
+    with open(f"{out}/rig.yaml") as file:
+        place = yaml.safe_load(file)["vehicle_from_rig"]
+    check(place["t_m"] == [0, 0, 2.2] and np.allclose(place["q"], [0.353553390593, -0.612372435696, 0.612372435696, -0.353553390593]),
+          "rig.yaml says where the scene mounts the rig")
     test_truth(out)
     status, text, errors = run("check", f"{out}/rig.yaml", out, "-o", os.path.join(folder, "checked"), "--json")
     rms = json.loads(text).get("rms_px") if status in (0, 3) and text else None

@@ -140,8 +140,10 @@ int main(int argc, char **argv)
     bench_boards(&b);
     bench_render(&b);
     bench_charuco(&b);
+    bench_dense(&b);
     bench_hand_eye(&b);
     bench_interest(&b);
+    bench_map(&b);
     bench_next_view(&b);
     bench_tags(&b);
     bench_vehicle(&b);

@@ -51,6 +51,8 @@ void bench_charuco(const bench *b);
 void bench_calibrate(const bench *b);
 /* bench_interest.c */
 void bench_interest(const bench *b);
+/* bench_map.c */
+void bench_map(const bench *b);
 /* bench_next_view.c */
 void bench_next_view(const bench *b);
 /* bench_render.c */
@@ -117,6 +119,16 @@ typedef struct bench_match_pair {
     int found, matched;
 } bench_match_pair;
 void bench_opencv_match(void *pair);
+/* bench_dense.c */
+void bench_dense(const bench *b);
+
+/* bench_dense_opencv.cpp: disparities in 1/16 px, negative where none. */
+typedef struct bench_dense_pair {
+    const unsigned char *image[2]; /* (height,width) grey: left, right */
+    int width, height, levels, block;
+    short *disparity; /* (height,width) out */
+} bench_dense_pair;
+void bench_opencv_dense(void *pair);
 
 #ifdef __cplusplus
 }

@@ -18,6 +18,15 @@
 /* Short runs, so that the median is one that nothing interrupted. */
 enum { STATES = 64, RUNS = 499, REPEATS = 4, JOINTS = 4, SIZE = 6 + JOINTS };
 
+enum { INVERSE, FORWARD, MASS, INVERSE_STILL, FORWARD_STILL, THREADS, GENERATION };
+static const char *const NAMES[] = {"dynamics inverse",
+                                    "dynamics forward",
+                                    "dynamics mass matrix",
+                                    "dynamics inverse, no Coriolis",
+                                    "dynamics forward, no Coriolis",
+                                    "dynamics forward, two threads",
+                                    "dynamics generation"};
+
 typedef struct one {
     base_state base;
     double q[JOINTS], nu[SIZE], acceleration[SIZE], force[SIZE], gravity[3];
@@ -196,7 +205,7 @@ static void print_row(const bench *b, work *w, const char *name, bench_function 
 
 static void print_generation(const bench *b, const work *w)
 {
-    const char *name = "dynamics generation";
+    const char *name = NAMES[GENERATION];
     if (!bench_wanted(b, name)) return;
     double times[9];
     for (int i = 0; i < 9; i++) {
@@ -231,7 +240,7 @@ static void *many_forward(void *user)
 /* Forward dynamics a second on two threads, beside one thread. */
 static void print_threads(const bench *b, const work *w)
 {
-    const char *name = "dynamics forward, two threads";
+    const char *name = NAMES[THREADS];
     if (!bench_wanted(b, name)) return;
     work *mine = malloc(2 * sizeof *mine);
     if (!mine) return;
@@ -254,6 +263,13 @@ static void print_threads(const bench *b, const work *w)
                                 .runs = 1});
 }
 
+static bool any_wanted(const bench *b)
+{
+    for (size_t i = 0; i < sizeof NAMES / sizeof *NAMES; i++)
+        if (bench_wanted(b, NAMES[i])) return true;
+    return false;
+}
+
 static void print_rows(const bench *b, work *w)
 {
 #ifdef TD_BENCH_KDL
@@ -262,12 +278,12 @@ static void print_rows(const bench *b, work *w)
     bench_function inverse = NULL, forward = NULL, mass = NULL;
 #endif
     w->coriolis = true;
-    print_row(b, w, "dynamics inverse", our_inverse, inverse, true);
-    print_row(b, w, "dynamics forward", our_forward, forward, true);
-    print_row(b, w, "dynamics mass matrix", our_mass, mass, false);
+    print_row(b, w, NAMES[INVERSE], our_inverse, inverse, true);
+    print_row(b, w, NAMES[FORWARD], our_forward, forward, true);
+    print_row(b, w, NAMES[MASS], our_mass, mass, false);
     w->coriolis = false;
-    print_row(b, w, "dynamics inverse, no Coriolis", our_inverse, inverse, false);
-    print_row(b, w, "dynamics forward, no Coriolis", our_forward, forward, false);
+    print_row(b, w, NAMES[INVERSE_STILL], our_inverse, inverse, false);
+    print_row(b, w, NAMES[FORWARD_STILL], our_forward, forward, false);
     w->coriolis = true;
     print_threads(b, w);
     print_generation(b, w);
@@ -277,7 +293,7 @@ void bench_dynamics(const bench *b)
 {
     char path[4096];
     td_error error = {0};
-    if (!bench_wanted(b, "dynamics") && !(b->filter && strstr(b->filter, "dynamics"))) return;
+    if (!any_wanted(b)) return;
     work *w = calloc(1, sizeof *w);
     if (!w) return;
     td_random random = td_random_seed(1, 1);

@@ -1,4 +1,6 @@
 // The peer of the dynamics: the URDF through urdfdom into a chain of KDL, by nothing of ours.
+// KDL's library allocates by malloc alone; under AddressSanitizer Eigen's headers would free otherwise.
+#define EIGEN_MALLOC_ALREADY_ALIGNED 1
 #include <memory>
 #include <vector>
 

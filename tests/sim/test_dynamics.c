@@ -344,6 +344,22 @@ static void test_conservation(void **state)
     }
 }
 
+/* A minute in steps of 1 ms, without gravity: nothing drifts. */
+static void test_minute(void **state)
+{
+    (void)state;
+    subject s = make_subject(0);
+    const flight f = {&s, s.robot->joint_count, false};
+    td_random random = td_random_seed(11, 1);
+    double y[13 + 2 * TD_ROBOT_MAX_JOINTS] = {1}, drift[3];
+    for (int i = 4; i < 7 + f.n; i++) y[i] = spread(&random);
+    for (int i = 7 + f.n; i < 13 + 2 * f.n; i++) y[i] = 0.5 * spread(&random);
+    fly(drift, &f, y, 60, 60000);
+    print_message("60 s: energy %.1e, momentum %.1e, angular momentum %.1e\n", drift[0], drift[1], drift[2]);
+    for (int i = 0; i < 3; i++) check_less(drift[i], 1e-8);
+    free_subject(&s);
+}
+
 /* ---- what cannot be ---- */
 
 static void test_refusals(void **state)
@@ -434,10 +450,10 @@ static void test_many_joints(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_kdl),          cmocka_unit_test(test_identities),
-        cmocka_unit_test(test_conservation), cmocka_unit_test(test_refusals),
-        cmocka_unit_test(test_massless_end), cmocka_unit_test(test_one_link),
-        cmocka_unit_test(test_many_joints),
+        cmocka_unit_test(test_minute),     cmocka_unit_test(test_kdl),
+        cmocka_unit_test(test_identities), cmocka_unit_test(test_conservation),
+        cmocka_unit_test(test_refusals),   cmocka_unit_test(test_massless_end),
+        cmocka_unit_test(test_one_link),   cmocka_unit_test(test_many_joints),
     };
     return cmocka_run_group_tests_name("dynamics", tests, NULL, NULL);
 }

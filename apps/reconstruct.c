@@ -1,0 +1,199 @@
+/* teledimos reconstruct: a dataset's stereo pairs into an elevation map. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "apps/reconstruct_internal.h"
+#include "core/cloud.h"
+#include "core/file.h"
+
+static const char *dataset_path, *rig_path, *prior_path, *region_text, *method = "ours";
+static cli_common common;
+static cli_list gates;
+static bool accept;
+static int gate_every = 10, levels = 0, believe = 3;
+static double near_m = 2, far_m = 20, cell_m = 0.05, prior_sigma_m = 0.5;
+
+static const char *const methods[] = {"ours", "opencv", NULL};
+
+static cli_option options[] = {
+    {CLI_STRING, "rig", 0, &rig_path, "FILE",
+     "calibration of the cameras, as rig.yaml or a file of OpenCV, ROS, Kalibr, ViSP or mrcal; default: the "
+     "dataset's",
+     0, 0, NULL},
+    {.type = CLI_HEADING, .name = "Dense matching"},
+    {CLI_REAL, "near", 0, &near_m, "M", "nearest depth looked for; default 2", 0.01, 1e4, NULL},
+    {CLI_REAL, "far", 0, &far_m, "M", "farthest depth; default 20", 0.02, 1e5, NULL},
+    {CLI_INT, "levels", 0, &levels, "N", "disparities looked for; default 0: what --near and --far need", 0,
+     4096, NULL},
+    {CLI_STRING, "matcher", 0, &method, "NAME", "ours (default), or opencv (its SGBM, a second opinion)", 0,
+     0, methods},
+    {.type = CLI_HEADING, .name = "The map"},
+    {CLI_REAL, "cell", 0, &cell_m, "M", "side of its cells; default 0.05", 1e-3, 100, NULL},
+    {CLI_STRING, "region", 0, &region_text, "X0,Y0,X1,Y1",
+     "only this part of the site, m; default: all that is seen", 0, 0, NULL},
+    {CLI_STRING, "prior", 0, &prior_path, "FILE",
+     "a map that is known before (GeoTIFF): kept where nothing is seen, fused where something is", 0, 0,
+     NULL},
+    {CLI_REAL, "prior-sigma", 0, &prior_sigma_m, "M", "its standard deviation where it has none; default 0.5",
+     1e-3, 100, NULL},
+    {CLI_INT, "believe", 0, &believe, "N",
+     "frames in a row that must agree that the ground has changed; default 3", 1, 100, NULL},
+    {.type = CLI_HEADING, .name = "The quality gate"},
+    {CLI_INT, "look", 0, &gate_every, "N",
+     "look at the epipolar residual of the first and each N-th frame; default 10; 0: never", 0, 1000000,
+     NULL},
+    {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
+    {CLI_FLAG, "accept", 0, &accept, NULL, "end with status 0 even when the gate refuses", 0, 0, NULL},
+    CLI_COMMON_OPTIONS(common,
+                       "folder for the products: map.tif, map.ply, result.yaml, report.html, log.jsonl",
+                       "this job draws none"),
+};
+
+static cli_command command = {
+    .name = "reconstruct",
+    .summary = "a dataset's stereo pairs into an elevation map",
+    .usage = "DATASET -o DIR [options]",
+    .text =
+        "Matches each pair densely, places its points by the pose of the base (columns x_m, y_m, z_m, qw, "
+        "qx, qy, qz "
+        "of frames.csv: site_from_vehicle) and fuses them into a map whose cells have a height, a standard "
+        "deviation, a count and where they come from. With a robot (robot: {urdf, mount} in dataset.yaml, "
+        "joint "
+        "angles in frames.csv) the machine's own arm is left out.\n\n"
+        "Run again after an interruption or a kill, it goes on where it stopped, and ends with the same "
+        "bytes. A "
+        "frame that fails is named, the others go on, and the exit status is 3. Exit status: 0 done, 1 "
+        "failed, 2 "
+        "wrong usage, 3 the gate refuses the result (--accept).",
+    .examples = "  teledimos render datasets/site-trench -o site --frames 1..3\n"
+                "  teledimos reconstruct site -o map\n",
+    .option = options,
+    .option_count = sizeof options / sizeof *options,
+    .least = 0,
+    .most = 1,
+    .positional = &dataset_path,
+};
+
+static const char *gate_help(void)
+{
+    static char text[1600];
+    snprintf(text, sizeof text, "refuse above VALUE; may be repeated. Defaults, and why:");
+    for (size_t i = 0; i < reconstruct_gate_count; i++) {
+        const gate_row *g = &reconstruct_gate_defaults[i];
+        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
+                 g->refuse, g->warn, g->why);
+    }
+    return text;
+}
+
+static td_status parse_region(double region[4], td_error *error)
+{
+    char rest;
+    if (!region_text) return TD_OK;
+    if (sscanf(region_text, "%lf,%lf,%lf,%lf%c", &region[0], &region[1], &region[2], &region[3], &rest) !=
+            4 ||
+        !(region[0] < region[2]) || !(region[1] < region[3]))
+        return td_fail(error, TD_ERROR_ARGUMENT,
+                       "--region %s: write X0,Y0,X1,Y1 in metres with X0 < X1 and Y0 < Y1", region_text);
+    return TD_OK;
+}
+
+/* The cells as points, for viewers of clouds; grey by height. */
+static td_status write_cloud(const td_elevation *map, const char *path, td_error *error)
+{
+    size_t cells = (size_t)map->columns * (size_t)map->rows, n = 0;
+    td_cloud *cloud = NULL;
+    char comment[TD_NAME_SIZE + 40];
+    for (size_t i = 0; i < cells; i++) n += isfinite(map->height[i]);
+    TD_TRY(td_cloud_new(&cloud, n, 0, error));
+    n = 0;
+    for (size_t i = 0; i < cells; i++) {
+        if (!isfinite(map->height[i])) continue;
+        td_cloud_point *p = &cloud->point[n++];
+        p->p[0] = map->origin[0] + (double)(i % (size_t)map->columns) * map->cell_m;
+        p->p[1] = map->origin[1] + (double)(i / (size_t)map->columns) * map->cell_m;
+        p->p[2] = map->height[i];
+        p->sigma = map->sigma[i];
+        p->rgb[0] = p->rgb[1] = p->rgb[2] = 160;
+    }
+    snprintf(comment, sizeof comment, "frame %s, unit m", map->frame);
+    td_status status = td_cloud_write_ply(cloud, path, comment, error);
+    td_cloud_free(&cloud);
+    return status;
+}
+
+static td_status write_files(const reconstruct_job *work, job *j)
+{
+    char *map = job_path(j, "map.tif"), *cloud = job_path(j, "map.ply");
+    td_status status = map && cloud ? td_elevation_write(work->map, map, &j->error) : TD_ERROR_MEMORY;
+    if (status == TD_OK) status = write_cloud(work->map, cloud, &j->error);
+    free(map);
+    free(cloud);
+    return status;
+}
+
+static td_status run(reconstruct_job *work, job *j, td_dataset **dataset)
+{
+    gate_row rows[8];
+    memcpy(rows, reconstruct_gate_defaults, reconstruct_gate_count * sizeof *rows);
+    for (size_t i = 0; i < gates.count; i++)
+        TD_TRY(gate_set(rows, reconstruct_gate_count, gates.value[i], &j->error));
+    if (!dataset_path)
+        return td_fail(&j->error, TD_ERROR_ARGUMENT, "DATASET is missing (usage: teledimos %s %s)",
+                       command.name, command.usage);
+    if (!(near_m < far_m)) return td_fail(&j->error, TD_ERROR_ARGUMENT, "--near must be below --far");
+    TD_TRY(parse_region(work->how->fusion.region, &j->error));
+    TD_TRY(td_dataset_read(dataset, dataset_path, &j->error));
+    work->dataset = *dataset;
+    TD_TRY(reconstruct_frames(work, &j->error));
+    snprintf(work->how->fusion.frame, sizeof work->how->fusion.frame, "%s",
+             work->has_poses          ? "site"
+             : work->rig->has_vehicle ? "vehicle"
+                                      : "rig");
+    TD_TRY(td_folder_make(common.output, &j->error));
+    TD_TRY(reconstruct_run(work, &j->error));
+    reconstruct_judge(work, rows);
+    if (terminal_interrupted())
+        return td_fail(&j->error, TD_ERROR_CANCELLED, "interrupted: run again to go on");
+    TD_TRY(write_files(work, j));
+    const job_output output = {reconstruct_report, reconstruct_table, work};
+    return job_finish(j, reconstruct_result(work), &output);
+}
+
+int main(int argc, char **argv)
+{
+    job j;
+    for (size_t i = 0; i < command.option_count; i++)
+        if (options[i].target == &gates) options[i].help = gate_help();
+    int code =
+        job_begin(&j, &command, &common, reconstruct_schema, reconstruct_schema_count, true, argc, argv);
+    if (code >= 0) return code;
+    td_dataset *dataset = NULL;
+    reconstruct_how how = {.rig = rig_path,
+                           .prior = prior_path,
+                           .output = common.output,
+                           .camera = {0, 1},
+                           .near_m = near_m,
+                           .far_m = far_m,
+                           .prior_sigma_m = prior_sigma_m,
+                           .dense = td_dense_options_default(),
+                           .fusion = td_fusion_options_default(),
+                           .gate_every = gate_every,
+                           .progress = &j.progress,
+                           .log = &j.log};
+    how.dense.method = strcmp(method, "opencv") == 0 ? TD_DENSE_OPENCV : TD_DENSE_OURS;
+    how.dense.levels = levels;
+    how.dense.refine = true;
+    how.fusion.correlation_px = 9; /* the window over which disparities are refined */
+    how.dense.threads = how.fusion.threads = common.threads;
+    how.fusion.cell_m = cell_m;
+    how.fusion.believe_frames = believe;
+    reconstruct_job work = {.how = &how};
+    td_status status = run(&work, &j, &dataset);
+    code = job_end(&j, status, work.gate.verdict == VERDICT_REFUSED && !accept);
+    reconstruct_free(&work);
+    td_dataset_free(&dataset);
+    return code;
+}

@@ -1,0 +1,240 @@
+/* What a frame's points in a cell say of the height at its centre, and how sure that is.
+ *
+ * Height: the weighted mean of the points, carried to the centre along the slope g, which is a plane's
+ * through the means of the 3 x 3 cells around. With v = (-g, 1) an error e of a point (3) moves the height by
+ * v . e: matching     v . r dz for a ray r = X / z: variance (v . r)^2 var(z), averaged over the points as
+ * far as their errors differ (td_mean_variance) pose         v^T [-[X]x, I] S [-[X]x, I]^T v calibration  v^T
+ * C v, C the point's covariance by the rig scatter      where the points lie off the plane by far more than
+ * matching explains, the cell holds an edge or a stone, of which another view may see another part: the rest
+ * of their variance counts whole. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/parallel.h"
+#include "recon/fusion_internal.h"
+
+static const double STEEPEST = 4;           /* slopes beyond are steps, and their sigma is their scatter's */
+static const double UNKNOWN_SLOPE = 0.5;    /* standard deviation of a slope that is not known */
+static const double EXPECTED_SCATTER = 4;   /* times its variance: chance, and matching's tails */
+static const double LEAST_VARIANCE = 1e-10; /* m^2: (10 um)^2 */
+
+static double dot(const double a[3], const double b[3])
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+/* ---- sums of each tile ---- */
+
+typedef struct job {
+    td_frame_cells *cells;
+    bool *failed; /* (tiles) */
+} job;
+
+static td_frame_cell *cell_for(td_frame_tile *tile, uint32_t at)
+{
+    if (!tile->slot[at]) {
+        tile->cell[tile->cells] = (td_frame_cell){.cell = (uint16_t)at};
+        tile->slot[at] = (uint16_t)++tile->cells;
+    }
+    return &tile->cell[tile->slot[at] - 1];
+}
+
+static void sum_tile(size_t index, void *user)
+{
+    const job *j = user;
+    td_frame_tile *tile = &j->cells->tile[index];
+    const size_t most = tile->count < TD_TILE_CELLS ? tile->count : TD_TILE_CELLS;
+    tile->slot = calloc(TD_TILE_CELLS, sizeof *tile->slot);
+    tile->cell = malloc(most * sizeof *tile->cell);
+    tile->measure = malloc(most * sizeof *tile->measure);
+    j->failed[index] = !tile->slot || !tile->cell || !tile->measure;
+    if (j->failed[index]) return;
+    for (size_t i = 0; i < tile->count; i++) {
+        const td_frame_point *p = &j->cells->point[tile->first + i];
+        td_frame_cell *c = cell_for(tile, p->cell);
+        const double w = (double)p->weight;
+        c->weight += w;
+        c->weight2 += w * w;
+        c->x += w * (double)p->x;
+        c->y += w * (double)p->y;
+        c->z += w * (double)p->z;
+        c->count++;
+    }
+    for (size_t i = 0; i < tile->cells; i++) {
+        td_frame_cell *c = &tile->cell[i];
+        c->x /= c->weight;
+        c->y /= c->weight;
+        c->z /= c->weight;
+    }
+}
+
+/* ---- slopes ---- */
+
+/* The cell (column, row) from the tile's first, which may lie in a neighbour; NULL: not measured. */
+static const td_frame_cell *neighbour(const td_frame_cells *c, const td_frame_tile *tile, int column, int row)
+{
+    const int dx = column < 0 ? -1 : column >= TD_TILE_SIDE, dy = row < 0 ? -1 : row >= TD_TILE_SIDE;
+    if (dx || dy) {
+        const int32_t x = tile->x + dx, y = tile->y + dy;
+        if (x < c->box[0] || x > c->box[1] || y < c->box[2] || y > c->box[3]) return NULL;
+        const size_t columns = (size_t)(c->box[1] - c->box[0] + 1);
+        const int32_t at = c->at[(size_t)(y - c->box[2]) * columns + (size_t)(x - c->box[0])];
+        if (at < 0) return NULL;
+        tile = &c->tile[at];
+    }
+    const int slot = tile->slot[(row - dy * TD_TILE_SIDE) * TD_TILE_SIDE + column - dx * TD_TILE_SIDE];
+    return slot ? &tile->cell[slot - 1] : NULL;
+}
+
+/* From the camera (site's axes, m) to the cell's mean, and the same as the camera sees it. */
+static void way_to(double way[3], double seen[3], const td_frame_cell *cell, const td_frame_cells *c,
+                   const td_frame_tile *tile)
+{
+    const double side = c->fusion->options.cell_m, *from = c->site_from_camera.t;
+    way[0] = (tile->x * TD_TILE_SIDE + cell->cell % TD_TILE_SIDE) * side + cell->x - from[0];
+    way[1] = (tile->y * TD_TILE_SIDE + cell->cell / TD_TILE_SIDE) * side + cell->y - from[1];
+    way[2] = cell->z;
+    for (int i = 0; i < 3; i++)
+        seen[i] = c->to_site[i] * way[0] + c->to_site[3 + i] * way[1] + c->to_site[6 + i] * way[2];
+}
+
+/* Share of a point's variance that its cell's mean has. */
+static double averaged(const td_frame_cell *cell, const td_frame_cells *c)
+{
+    return td_mean_variance(cell->weight * cell->weight / cell->weight2, c->fusion->options.correlation_px);
+}
+
+/* Variance of the means' heights, on level ground, against one another: cells nearer in the image than the
+ * errors' correlation share the more of them the nearer they are. */
+static double mean_variance(const td_frame_cell *cell, const td_frame_cells *c, const td_frame_tile *tile)
+{
+    double way[3], seen[3];
+    way_to(way, seen, cell, c, tile);
+    const double along = way[2] / seen[2], apart = sqrt(cell->count) / c->fusion->options.correlation_px;
+    return along * along * cell->count / cell->weight * averaged(cell, c) * fmin(1, apart);
+}
+
+static void find_slope(td_frame_cell *cell, const td_frame_cells *c, const td_frame_tile *tile)
+{
+    const int column = cell->cell % TD_TILE_SIDE, row = cell->cell / TD_TILE_SIDE;
+    const double side = c->fusion->options.cell_m;
+    double n = 0, x = 0, y = 0, z = 0, xx = 0, xy = 0, yy = 0, xz = 0, yz = 0;
+    for (int dy = -1; dy <= 1; dy++)
+        for (int dx = -1; dx <= 1; dx++) {
+            const td_frame_cell *other = neighbour(c, tile, column + dx, row + dy);
+            if (!other) continue;
+            const double u = dx * side + other->x, v = dy * side + other->y, h = other->z - cell->z;
+            n++;
+            x += u, y += v, z += h;
+            xx += u * u, xy += u * v, yy += v * v;
+            xz += u * h, yz += v * h;
+        }
+    xx -= x * x / n, xy -= x * y / n, yy -= y * y / n;
+    xz -= x * z / n, yz -= y * z / n;
+    const double det = xx * yy - xy * xy;
+    double g[2] = {0, 0}, noise = INFINITY;
+    if (n >= 3 && det > 0.05 * side * side * side * side) { /* three cells of an L have a third */
+        g[0] = (yy * xz - xy * yz) / det;
+        g[1] = (xx * yz - xy * xz) / det;
+        noise = mean_variance(cell, c, tile) * fmax(xx, yy) / det;
+    }
+    const double ground = UNKNOWN_SLOPE * UNKNOWN_SLOPE;
+    const double trust = ground / (ground + noise), length = trust * hypot(g[0], g[1]);
+    const double held = trust * (length > STEEPEST ? STEEPEST / length : 1);
+    for (int i = 0; i < 2; i++) cell->slope[i] = held * g[i];
+    cell->slope_variance = ground * (1 - trust);
+}
+
+/* ---- measurements ---- */
+
+double td_frame_pose_variance(const td_frame_cells *c, const double p[3], const double up[3])
+{
+    const double *s = c->frame->pose_covariance;
+    if (!s) return 0;
+    /* v . (omega x p + tau) = omega . (p x v) + v . tau */
+    const double j[6] = {p[1] * up[2] - p[2] * up[1],
+                         p[2] * up[0] - p[0] * up[2],
+                         p[0] * up[1] - p[1] * up[0],
+                         up[0],
+                         up[1],
+                         up[2]};
+    double variance = 0;
+    for (int a = 0; a < 6; a++)
+        for (int b = 0; b < 6; b++) variance += j[a] * s[6 * a + b] * j[b];
+    return fmax(variance, 0);
+}
+
+static double form(const double s[6], const double v[3])
+{
+    return v[0] * v[0] * s[0] + v[1] * v[1] * s[3] + v[2] * v[2] * s[5] +
+           2 * (v[0] * v[1] * s[1] + v[0] * v[2] * s[2] + v[1] * v[2] * s[4]);
+}
+
+/* Standard deviation of the height by the calibration, what is not known of the slope included; 0 where the
+ * rig has no covariance. */
+static double calibration(const td_frame_cells *c, const double seen[3], const double up[3],
+                          double slope_variance)
+{
+    const td_depth_camera *camera = c->frame->camera;
+    double s[6], v[3], vertical[3];
+    td_depth_error_at(s, camera, camera->cx + camera->f * seen[0] / seen[2],
+                      camera->cy + camera->f * seen[1] / seen[2], seen[2]);
+    if (isnan(s[0])) return 0;
+    for (int i = 0; i < 3; i++) {
+        v[i] = dot(c->rig_from_site + 3 * i, up);
+        vertical[i] = c->rig_from_site[3 * i + 2];
+    }
+    const double level = s[0] + s[3] + s[5] - form(s, vertical); /* variances along x and y of the site */
+    return sqrt(fmax(form(s, v) + slope_variance * level, 0));
+}
+
+static td_measure measure(const td_frame_cells *c, const td_frame_tile *tile, const td_frame_cell *cell)
+{
+    const double *from = c->site_from_camera.t, up[3] = {-cell->slope[0], -cell->slope[1], 1};
+    double way[3], seen[3];
+    way_to(way, seen, cell, c, tile);
+    const double p[3] = {from[0] + way[0], from[1] + way[1], from[2] + way[2]};
+    const double along = dot(up, way) / seen[2], depth = cell->count / cell->weight;
+    const double sideways = cell->slope_variance * (way[0] * way[0] + way[1] * way[1]) / (seen[2] * seen[2]);
+    const double one = (along * along + sideways) * depth; /* variance of one point's height */
+    const double matching = one * averaged(cell, c) + LEAST_VARIANCE;
+    const double scatter = fmax(0, cell->residual / cell->weight - EXPECTED_SCATTER * one);
+    const double off = cell->slope_variance * (cell->x * cell->x + cell->y * cell->y);
+    const double pose = td_frame_pose_variance(c, p, up);
+    return (td_measure){.height = from[2] + cell->z - cell->slope[0] * cell->x - cell->slope[1] * cell->y,
+                        .noise = matching + scatter + off + pose,
+                        .repeated = c->fusion->options.repeat_share * matching + scatter + off + pose,
+                        .common = calibration(c, seen, up, cell->slope_variance),
+                        .place = c->place,
+                        .count = cell->count,
+                        .time_s = c->frame->time_s};
+}
+
+static void measure_tile(size_t index, void *user)
+{
+    const job *j = user;
+    const td_frame_cells *c = j->cells;
+    td_frame_tile *tile = &c->tile[index];
+    for (size_t i = 0; i < tile->cells; i++) find_slope(&tile->cell[i], c, tile);
+    for (size_t i = 0; i < tile->count; i++) {
+        const td_frame_point *p = &c->point[tile->first + i];
+        td_frame_cell *cell = &tile->cell[tile->slot[p->cell] - 1];
+        const double off = (double)p->z - cell->z - cell->slope[0] * ((double)p->x - cell->x) -
+                           cell->slope[1] * ((double)p->y - cell->y);
+        cell->residual += (double)p->weight * off * off;
+    }
+    for (size_t i = 0; i < tile->cells; i++) tile->measure[i] = measure(c, tile, &tile->cell[i]);
+}
+
+td_status td_frame_measure(td_frame_cells *cells, td_error *error)
+{
+    job j = {cells, calloc(cells->tile_count + 1, sizeof(bool))};
+    bool failed = !j.failed;
+    if (!failed) td_parallel_for(cells->tile_count, cells->threads, sum_tile, &j, NULL, NULL);
+    for (size_t i = 0; !failed && i < cells->tile_count; i++) failed = j.failed[i];
+    free(j.failed);
+    if (failed) return td_fail(error, TD_ERROR_MEMORY, "no memory for the cells of a frame");
+    td_parallel_for(cells->tile_count, cells->threads, measure_tile, &j, NULL, NULL);
+    return TD_OK;
+}

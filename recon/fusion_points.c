@@ -1,0 +1,244 @@
+/* A frame's disparities as points, sorted by tile: counting sort over strips of rows, so that the order
+ * within a tile is that of the pixels at any thread count. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/parallel.h"
+#include "recon/fusion_internal.h"
+
+/* Fixed, whatever the threads are. */
+enum { STRIPS = 16, MOST_BOX = 1 << 20 };
+
+typedef struct placed {
+    int32_t x, y; /* cell of the site */
+    td_frame_point point;
+} placed;
+
+typedef struct strip {
+    placed *point; /* one a pixel at most */
+    size_t count;
+    int32_t box[4]; /* tiles */
+    size_t *next;   /* (box of all) where its next point of a tile goes */
+} strip;
+
+typedef struct sorter {
+    td_frame_cells *cells;
+    strip strip[STRIPS];
+    bool failed;
+} sorter;
+
+static int32_t tile_of(int32_t cell)
+{
+    return cell >= 0 ? cell / TD_TILE_SIDE : -((TD_TILE_SIDE - 1 - cell) / TD_TILE_SIDE);
+}
+
+static int32_t floor_of(double u)
+{
+    const int32_t whole = (int32_t)u;
+    return whole - (u < whole);
+}
+
+static void rows_of(int *first, int *end, int index, int height)
+{
+    *first = (int)((long)height * index / STRIPS);
+    *end = (int)((long)height * (index + 1) / STRIPS);
+}
+
+static void widen(int32_t box[4], int32_t x, int32_t y)
+{
+    if (x < box[0]) box[0] = x;
+    if (x > box[1]) box[1] = x;
+    if (y < box[2]) box[2] = y;
+    if (y > box[3]) box[3] = y;
+}
+
+/* What of the frame does not change from pixel to pixel. */
+typedef struct optics {
+    double cell_m, per_cell, base, near_d, far_d; /* disparities of the nearest and farthest depth */
+    const double *origin;                         /* m, of the camera */
+    double right[3];                              /* of the ray by a pixel to the right */
+    const int32_t *bounds;
+} optics;
+
+static optics optics_of(const td_frame_cells *c)
+{
+    const td_depth_camera *camera = c->frame->camera;
+    optics o = {.cell_m = c->fusion->options.cell_m,
+                .per_cell = 1 / c->fusion->options.cell_m,
+                .base = camera->base_px_m,
+                .near_d = camera->base_px_m / camera->near_m,
+                .far_d = camera->base_px_m / camera->far_m,
+                .origin = c->site_from_camera.t,
+                .bounds = c->fusion->bounds};
+    for (int i = 0; i < 3; i++) o.right[i] = c->to_site[3 * i] / camera->f;
+    return o;
+}
+
+static size_t place_row(placed *to, const td_frame_cells *c, const optics *o, int row)
+{
+    const td_depth_camera *camera = c->frame->camera;
+    const td_disparity *disparity = c->frame->disparity;
+    const size_t width = (size_t)disparity->width, first = (size_t)row * width;
+    const double start[2] = {-camera->cx / camera->f, (row - camera->cy) / camera->f};
+    double ray[3];
+    size_t count = 0;
+    for (int i = 0; i < 3; i++)
+        ray[i] = c->to_site[3 * i] * start[0] + c->to_site[3 * i + 1] * start[1] + c->to_site[3 * i + 2];
+    for (size_t column = 0; column < width; column++) {
+        const double d = (double)disparity->value[first + column];
+        const double sigma = (double)disparity->sigma[first + column];
+        if (disparity->kind[first + column] != TD_DENSE_MATCHED || !(d >= o->far_d && d <= o->near_d) ||
+            !(sigma > 0))
+            continue;
+        const double depth = o->base / d, u = (double)column;
+        const double x = o->origin[0] + depth * (ray[0] + u * o->right[0]);
+        const double y = o->origin[1] + depth * (ray[1] + u * o->right[1]);
+        const int32_t cx = floor_of(x * o->per_cell + 0.5), cy = floor_of(y * o->per_cell + 0.5);
+        if (cx < o->bounds[0] || cx > o->bounds[1] || cy < o->bounds[2] || cy > o->bounds[3]) continue;
+        const double precision = d / (depth * sigma); /* 1 / standard deviation of the depth */
+        to[count++] =
+            (placed){cx,
+                     cy,
+                     {(float)(x - cx * o->cell_m), (float)(y - cy * o->cell_m),
+                      (float)(depth * (ray[2] + u * o->right[2])), (float)(precision * precision), 0}};
+    }
+    return count;
+}
+
+static void place_strip(size_t index, void *user)
+{
+    sorter *s = user;
+    strip *part = &s->strip[index];
+    const optics o = optics_of(s->cells);
+    int first, end;
+    rows_of(&first, &end, (int)index, s->cells->frame->disparity->height);
+    for (int row = first; row < end; row++)
+        part->count += place_row(part->point + part->count, s->cells, &o, row);
+    for (size_t i = 0; i < part->count; i++) {
+        placed *p = &part->point[i];
+        const int32_t tx = tile_of(p->x), ty = tile_of(p->y);
+        p->point.cell = (uint32_t)((p->y - ty * TD_TILE_SIDE) * TD_TILE_SIDE + p->x - tx * TD_TILE_SIDE);
+        p->x = tx; /* from here on the tile's */
+        p->y = ty;
+        widen(part->box, tx, ty);
+    }
+}
+
+static size_t box_index(const int32_t box[4], int32_t x, int32_t y)
+{
+    return (size_t)(y - box[2]) * (size_t)(box[1] - box[0] + 1) + (size_t)(x - box[0]);
+}
+
+static void count_strip(size_t index, void *user)
+{
+    sorter *s = user;
+    strip *part = &s->strip[index];
+    for (size_t i = 0; i < part->count; i++)
+        part->next[box_index(s->cells->box, part->point[i].x, part->point[i].y)]++;
+}
+
+static void scatter_strip(size_t index, void *user)
+{
+    sorter *s = user;
+    strip *part = &s->strip[index];
+    for (size_t i = 0; i < part->count; i++) {
+        const placed *p = &part->point[i];
+        s->cells->point[part->next[box_index(s->cells->box, p->x, p->y)]++] = p->point;
+    }
+}
+
+/* Tiles in the box's order, and where each strip's points of each begin. */
+static bool lay_out(sorter *s, size_t box_size)
+{
+    td_frame_cells *c = s->cells;
+    const size_t columns = (size_t)(c->box[1] - c->box[0] + 1);
+    size_t tiles = 0, sum = 0;
+    for (size_t i = 0; i < box_size; i++) {
+        bool any = false;
+        for (int k = 0; k < STRIPS; k++) any |= s->strip[k].next[i] > 0;
+        c->at[i] = any ? (int32_t)tiles++ : -1;
+    }
+    c->tile = calloc(tiles, sizeof *c->tile);
+    if (!c->tile) return false;
+    c->tile_count = tiles;
+    for (size_t i = 0; i < box_size; i++) {
+        if (c->at[i] < 0) continue;
+        td_frame_tile *tile = &c->tile[c->at[i]];
+        tile->x = c->box[0] + (int32_t)(i % columns);
+        tile->y = c->box[2] + (int32_t)(i / columns);
+        tile->first = sum;
+        for (int k = 0; k < STRIPS; k++) {
+            const size_t here = s->strip[k].next[i];
+            s->strip[k].next[i] = sum;
+            sum += here;
+        }
+        tile->count = sum - tile->first;
+    }
+    return true;
+}
+
+static td_status sort(sorter *s, td_error *error)
+{
+    td_frame_cells *c = s->cells;
+    const td_disparity *d = c->frame->disparity;
+    for (int k = 0; k < STRIPS; k++) {
+        int first, end;
+        rows_of(&first, &end, k, d->height);
+        memcpy(s->strip[k].box, (int32_t[4]){INT32_MAX, INT32_MIN, INT32_MAX, INT32_MIN}, sizeof c->box);
+        s->strip[k].point = malloc(((size_t)(end - first) * (size_t)d->width + 1) * sizeof(placed));
+        if (!s->strip[k].point) return td_fail(error, TD_ERROR_MEMORY, "no memory for the points of a frame");
+    }
+    td_parallel_for(STRIPS, c->threads, place_strip, s, NULL, NULL);
+    memcpy(c->box, s->strip[0].box, sizeof c->box);
+    for (int k = 0; k < STRIPS; k++) {
+        c->point_count += s->strip[k].count;
+        if (!s->strip[k].count) continue;
+        widen(c->box, s->strip[k].box[0], s->strip[k].box[2]);
+        widen(c->box, s->strip[k].box[1], s->strip[k].box[3]);
+    }
+    if (!c->point_count) return TD_OK;
+    const double size = ((double)c->box[1] - c->box[0] + 1) * ((double)c->box[3] - c->box[2] + 1);
+    if (size > MOST_BOX)
+        return td_fail(
+            error, TD_ERROR_DATA,
+            "the frame's points spread over %.0f tiles of %d x %d cells: take larger cells, a region "
+            "or a nearer far_m",
+            size, TD_TILE_SIDE, TD_TILE_SIDE);
+    const size_t n = (size_t)size;
+    c->at = malloc(n * sizeof *c->at);
+    c->point = malloc(c->point_count * sizeof *c->point);
+    bool fine = c->at && c->point;
+    for (int k = 0; k < STRIPS; k++) fine &= (s->strip[k].next = calloc(n, sizeof *s->strip[k].next)) != NULL;
+    if (fine) {
+        td_parallel_for(STRIPS, c->threads, count_strip, s, NULL, NULL);
+        fine = lay_out(s, n);
+    }
+    if (!fine)
+        return td_fail(error, TD_ERROR_MEMORY, "no memory for the %zu points of a frame", c->point_count);
+    td_parallel_for(STRIPS, c->threads, scatter_strip, s, NULL, NULL);
+    return TD_OK;
+}
+
+td_status td_frame_sort(td_frame_cells *cells, td_error *error)
+{
+    sorter s = {.cells = cells};
+    td_status status = sort(&s, error);
+    for (int k = 0; k < STRIPS; k++) {
+        free(s.strip[k].point);
+        free(s.strip[k].next);
+    }
+    return status;
+}
+
+void td_frame_free(td_frame_cells *c)
+{
+    for (size_t i = 0; i < c->tile_count; i++) {
+        free(c->tile[i].cell);
+        free(c->tile[i].slot);
+        free(c->tile[i].measure);
+    }
+    free(c->tile);
+    free(c->at);
+    free(c->point);
+}
