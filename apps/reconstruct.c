@@ -187,6 +187,8 @@ int main(int argc, char **argv)
     how.dense.levels = levels;
     how.dense.refine = true;
     how.fusion.correlation_px = 9; /* the window over which disparities are refined */
+    how.fusion.place_m = 1;
+    how.fusion.repeat_share = 0.8;
     how.dense.threads = how.fusion.threads = common.threads;
     how.fusion.cell_m = cell_m;
     how.fusion.believe_frames = believe;

@@ -10,7 +10,8 @@
 #include "recon/fusion_internal.h"
 
 enum { MOST_BELIEVE = 255, FARTHEST_CELL = 1 << 30 };
-static const double SAME_TURN = 0.02; /* rad: frames turned by less may be from one place */
+static const double SAME_TURN =
+    0.35; /* rad: frames turned by less may be from one place: the ground looks the same */
 
 /* ---- options ---- */
 

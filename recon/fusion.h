@@ -35,7 +35,7 @@ typedef struct td_fusion_options {
     int believe_frames;    /* N; default 3 */
     double correlation_px; /* neighbouring pixels share their error over so many pixels; default 5 */
     double repeat_share;   /* of matching's variance that frames from one place have in common; default 0.5 */
-    double place_m;      /* frames whose camera moved by less, and turned by less than 0.02 rad, are from one
+    double place_m;      /* frames whose camera moved by less, and turned by less than 0.35 rad, are from one
                             place; default 0.1 */
     size_t memory_bytes; /* of tiles, at least one's; default 1 GiB */
     const char *folder;  /* of this map alone: where tiles go beyond it; NULL: refused then */
