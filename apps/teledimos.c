@@ -17,6 +17,7 @@ static const struct {
     {"hand-eye", "where the cameras sit on a robot, with how far to trust it"},
     {"vehicle", "where the cameras sit on a machine, and what that is worth at the bucket's tip"},
     {"match", "points of a stereo pair in metres, guided or automatic"},
+    {"measure", "cut and fill between two maps with their error, profiles, slopes"},
     {"rectify", "turn stereo pairs so that rows match rows"},
     {"render", "draw what a rig's cameras see of a scene"},
     {"convert", "turn a rig into the files of another tool, or those into a rig"},

@@ -30,7 +30,8 @@ typedef struct td_volume_options {
                                    its centre is (even-odd; half-open, so that neighbours share no cell) */
     size_t polygon_count;
     double correlation_m; /* of the cells' noise: 1/e there; 0 (default): estimated from the difference where
-                             nothing changed (robust variogram), else two cells */
+                             nothing changed (robust variogram), else two cells. Of a hundred patches of noise
+                             it comes out 6 % long (sigma as much too large), of more by less */
     double
         common_m; /* sigma of a shift of one whole map against the other; default 0; NaN: the shift is
                      estimated where nothing changed (outside the polygon, if there is one) and taken off */

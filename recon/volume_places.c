@@ -19,8 +19,9 @@ typedef struct growth {
 /* -1, 0, 1: how the cell differs, beyond so many sigma. */
 static int side(const growth *w, size_t cell, double sigmas)
 {
-    const double d = w->g->d[cell] - w->shift, sigma = hypot(w->g->sigma[cell], w->sigma_shift);
-    if (!(fabs(d) > sigmas * sigma)) return 0;
+    const double d = w->g->d[cell] - w->shift, sigma = w->g->sigma[cell];
+    const double variance = sigma * sigma + w->sigma_shift * w->sigma_shift;
+    if (!(d * d > sigmas * sigmas * variance)) return 0;
     return d < 0 ? -1 : 1;
 }
 
