@@ -107,5 +107,6 @@ td_status volume_places(volume_grid *g, double shift, double sigma_shift, double
         }
     }
     free(w.stack);
-    return add_margin(g, fmax(least_margin, margin_lengths * correlation_m / g->cell_m), error);
+    const double margin = fmax(least_margin, margin_lengths * correlation_m / g->cell_m);
+    return add_margin(g, fmin(margin, hypot(g->columns, g->rows)), error);
 }

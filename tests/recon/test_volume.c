@@ -84,6 +84,25 @@ static void test_box(void **state)
     }
 }
 
+/* Noise shared by the whole map is a shift of it: as sure as the area times sigma. */
+static void test_long_correlation(void **state)
+{
+    (void)state;
+    td_elevation *before = make_plane(30, 20, 0.5, 0, 0, 0, 0, 0, 0.003);
+    td_elevation *after = make_plane(30, 20, 0.5, 0, 0, 1, 0, 0, 0.004);
+    td_volume_options o = td_volume_options_default();
+    td_volume v;
+    o.correlation_m = 1e6;
+    check_ok(td_volume_between(&v, NULL, before, after, &o, &error), error);
+    check_near(v.fill_m3, 150, 1e-9);
+    check_near(v.sigma_fill_m3, 150 * 0.005, 1e-7);
+    o.correlation_m = 1e-6; /* and by no other cell: the root of the count */
+    check_ok(td_volume_between(&v, NULL, before, after, &o, &error), error);
+    check_near(v.sigma_fill_m3, 0.25 * sqrt(600) * 0.005, 1e-8);
+    td_elevation_free(&before);
+    td_elevation_free(&after);
+}
+
 /* A pyramid of 2 x 2 m, 1 m high, over a slope: the sum over lattice cells that hold its ridges is its volume
  * but for the discretisation, which the sum by hand shares; sigma known, so that its foot fades. */
 static void test_pyramid(void **state)
@@ -503,19 +522,13 @@ static void test_refused(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_box),
-        cmocka_unit_test(test_pyramid),
-        cmocka_unit_test(test_other_grids),
-        cmocka_unit_test(test_polygon),
-        cmocka_unit_test(test_given),
-        cmocka_unit_test(test_shift),
-        cmocka_unit_test(test_white),
-        cmocka_unit_test(test_estimated),
-        cmocka_unit_test(test_estimated_everywhere),
-        cmocka_unit_test(test_unchanged),
-        cmocka_unit_test(test_profile),
-        cmocka_unit_test(test_slope),
-        cmocka_unit_test(test_slope_sigma),
+        cmocka_unit_test(test_box),       cmocka_unit_test(test_long_correlation),
+        cmocka_unit_test(test_pyramid),   cmocka_unit_test(test_other_grids),
+        cmocka_unit_test(test_polygon),   cmocka_unit_test(test_given),
+        cmocka_unit_test(test_shift),     cmocka_unit_test(test_white),
+        cmocka_unit_test(test_estimated), cmocka_unit_test(test_estimated_everywhere),
+        cmocka_unit_test(test_unchanged), cmocka_unit_test(test_profile),
+        cmocka_unit_test(test_slope),     cmocka_unit_test(test_slope_sigma),
         cmocka_unit_test(test_refused),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
