@@ -18,6 +18,7 @@ static const struct {
     {"vehicle", "where the cameras sit on a machine, and what that is worth at the bucket's tip"},
     {"match", "points of a stereo pair in metres, guided or automatic"},
     {"reconstruct", "a dataset's stereo pairs into an elevation map"},
+    {"measure", "cut and fill between two maps with their error, profiles, slopes"},
     {"rectify", "turn stereo pairs so that rows match rows"},
     {"render", "draw what a rig's cameras see of a scene"},
     {"simulate", "a machine moved by given commands: motion, forces, sag"},

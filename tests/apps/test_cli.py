@@ -24,7 +24,11 @@ try:
 except ImportError:
     yaml_reader = None
 
+<<<<<<< HEAD
 COMMANDS = ("calibrate", "capture", "check", "compare", "convert", "hand-eye", "match", "reconstruct", "rectify", "render", "simulate", "target", "vehicle")
+=======
+COMMANDS = ("calibrate", "capture", "check", "compare", "convert", "hand-eye", "match", "measure", "rectify", "render", "target", "vehicle")
+>>>>>>> measure
 JOBS = ("calibrate", "rectify")  # whose results are looked at here; the others' in tests of their own
 ENVIRONMENT = {"PATH": os.path.dirname(PROGRAM) + ":" + os.environ["PATH"]}
 
