@@ -24,11 +24,8 @@ try:
 except ImportError:
     yaml_reader = None
 
-<<<<<<< HEAD
-COMMANDS = ("calibrate", "capture", "check", "compare", "convert", "hand-eye", "match", "reconstruct", "rectify", "render", "simulate", "target", "vehicle")
-=======
-COMMANDS = ("calibrate", "capture", "check", "compare", "convert", "hand-eye", "match", "measure", "rectify", "render", "target", "vehicle")
->>>>>>> measure
+COMMANDS = ("calibrate", "capture", "check", "compare", "convert", "hand-eye", "match", "measure", "reconstruct", "rectify", "render",
+            "simulate", "target", "vehicle")
 JOBS = ("calibrate", "rectify")  # whose results are looked at here; the others' in tests of their own
 ENVIRONMENT = {"PATH": os.path.dirname(PROGRAM) + ":" + os.environ["PATH"]}
 
