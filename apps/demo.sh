@@ -1,5 +1,5 @@
 #!/bin/sh
-# Installs what is missing, builds, and calibrates OpenCV's stereo pairs. On Debian 12; can be run again and again.
+# Installs what is missing, builds, calibrates OpenCV's stereo pairs, reconstructs a real pair, predicts a motion. On Debian 12; can be run again and again.
 set -eu
 cd "$(dirname "$0")/.."
 . apps/install.sh
@@ -28,4 +28,13 @@ echo
 echo "== teledimos hand-eye datasets/hand-eye-stereo -o out/hand-eye"
 teledimos hand-eye datasets/hand-eye-stereo -o out/hand-eye
 echo
-echo "Done. Open the report: $PWD/out/opencv-stereo/report.html"
+echo "== teledimos vehicle datasets/zx200-stick -o out/vehicle"
+teledimos vehicle datasets/zx200-stick -o out/vehicle
+echo
+echo "== teledimos reconstruct datasets/aloe --near 0.55 --far 2.2 --cell 0.002 -o out/aloe"
+teledimos reconstruct datasets/aloe --near 0.55 --far 2.2 --cell 0.002 -o out/aloe
+echo
+echo "== teledimos simulate datasets/zx200-motion -o out/motion"
+teledimos simulate datasets/zx200-motion -o out/motion
+echo
+echo "Done. Open the reports: $PWD/out/opencv-stereo/report.html, $PWD/out/aloe/report.html, $PWD/out/motion/report.html"

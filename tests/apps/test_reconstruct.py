@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import yaml
 
-from common import FULL, PROGRAM, SANITIZED, SOURCE, check, fault_of_sentence, finish, run
+from common import FULL, PROGRAM, SANITIZED, SOURCE, check, fault_of_sentence, finish, run, skip
 
 work = tempfile.mkdtemp()
 site = os.path.join(work, "site")
@@ -81,6 +81,28 @@ def test_same_bytes():
     check(result["frames"]["resumed"] == result["frames"]["total"], "what is done is not done again")
     code, out, err = run("reconstruct", site, "-o", folder, "--json", *small[:-1], "0.2")
     check(code == 0 and json.loads(out)["frames"]["resumed"] == 0 and "beginning anew" in err, "other options begin anew, and say so")
+
+
+def test_real_pair():
+    """The shipped dataset of a real pair, where Debian's images are: depths by the rig's own formula from OpenCV's truth."""
+    images = "/usr/share/doc/opencv-doc/examples/data"
+    if not os.path.exists(f"{images}/aloeGT.png"):
+        skip("aloe: opencv-doc has no images here")
+        return
+    code, out, err = run("reconstruct", f"{SOURCE}/datasets/aloe", "-o", f"{work}/aloe", "--near", "0.55", "--far", "2.2", "--cell", "0.004",
+                         "--json")
+    result = json.loads(out)
+    check(code == 0 and result["map"]["cells"] > 30000, f"aloe: {result['map']['cells']} cells")
+    truth = cv2.imread(f"{images}/aloeGT.png", cv2.IMREAD_GRAYSCALE).astype(float)
+    rows, columns = np.mgrid[100:1000:23, 350:1200:23]
+    d = truth[rows, columns]
+    z = 1246.67 * 0.16 / (d[d > 0] + 90)
+    x, y = (columns[d > 0] - 640.5) / 1246.67 * z, (rows[d > 0] - 554.5) / 1246.67 * z
+    ours = heights(f"{work}/aloe/map.tif", np.stack([x, -y], 1))
+    error = ours - (1.5 - z)
+    known = np.isfinite(error)
+    check(known.sum() > 800 and np.median(abs(error[known])) < 0.006,
+          f"aloe: {known.sum()} heights, half of them within {1e3 * np.median(abs(error[known])):.1f} mm of the truth (1 px is 4 to 14 mm)")
 
 
 def spoilt(name):
@@ -154,6 +176,7 @@ check(code == 0, "the site is rendered" + err[-200:])
 test_site()
 test_same_bytes()
 test_failing_frames()
+test_real_pair()
 test_wrong_input()
 shutil.rmtree(work)
 finish()
