@@ -133,6 +133,7 @@ static void draw(cover *c, const site *s, int frames, int repeats, double pose_s
 static void test_noise_coverage(void **state)
 {
     (void)state;
+    check_statistics();
     td_random random = td_random_seed(11, 0);
     site s = site_new(false, 1);
     static const double cell[3] = {0.03, 0.1,
@@ -155,6 +156,7 @@ static void test_noise_coverage(void **state)
 static void test_rig_coverage(void **state)
 {
     (void)state;
+    check_statistics();
     const int draws = full() ? 240 : 30;
     const double bound = full() ? 0.07 : 0.18;
     td_random random = td_random_seed(12, 0);
