@@ -76,7 +76,7 @@ def test_real():
     if not DATA:
         skip("the robots' sets are not there (TELEDIMOS_DATA)")
         return
-    failed = {"franka_in": {"andreff", "li"}, "franka_to": {"tsai", "horaud", "daniilidis", "andreff", "li"},
+    failed = {"franka_in": {"andreff", "li"}, "franka_to": {"tsai", "horaud", "daniilidis", "li"},
               "kuka_2": {"andreff", "li"}}
     bound = {"franka_in": 5.6, "franka_to": 9.4, "kuka_2": 0.86}
     for name in failed:
