@@ -129,29 +129,43 @@ static void colour(adding *a, int64_t x, int64_t y, const size_t pixel[3], const
     }
 }
 
+static int floor_of(float u)
+{
+    const int whole = (int)u;
+    return whole - (u < (float)whole);
+}
+
+/* First and last texel whose centre (a whole number and a half) lies between the three. */
+static void span(int *first, int *last, float a, float b, float c)
+{
+    float low = a < b ? a : b, high = a < b ? b : a;
+    if (c < low) low = c;
+    if (c > high) high = c;
+    *first = floor_of(low + 0.5f);
+    *last = floor_of(high - 0.5f);
+}
+
 static void triangle(adding *a, size_t p, size_t q, size_t r)
 {
     const size_t pixel[3] = {p, q, r};
-    const spot *s[3] = {&a->spot[p], &a->spot[q], &a->spot[r]};
+    const spot *s0 = &a->spot[p], *s1 = &a->spot[q], *s2 = &a->spot[r];
     const float *d = a->frame->disparity->value;
-    if (isnan(s[0]->u) || isnan(s[1]->u) || isnan(s[2]->u)) return;
-    const float low = fminf(d[p], fminf(d[q], d[r])), high = fmaxf(d[p], fmaxf(d[q], d[r]));
-    if (high - low >= JOINED_PX) return;
-    const float area = (s[1]->u - s[0]->u) * (s[2]->v - s[0]->v) - (s[2]->u - s[0]->u) * (s[1]->v - s[0]->v);
+    if (isnan(s0->u) || isnan(s1->u) || isnan(s2->u)) return;
+    if (fabsf(d[p] - d[q]) >= JOINED_PX || fabsf(d[q] - d[r]) >= JOINED_PX || fabsf(d[r] - d[p]) >= JOINED_PX)
+        return;
+    int left, right, bottom, top;
+    span(&left, &right, s0->u, s1->u, s2->u);
+    span(&bottom, &top, s0->v, s1->v, s2->v);
+    if (left > right || bottom > top) return;
+    const float u1 = s1->u - s0->u, v1 = s1->v - s0->v, u2 = s2->u - s0->u, v2 = s2->v - s0->v;
+    const float area = u1 * v2 - u2 * v1, per_area = 1 / area;
     if (area == 0) return;
-    /* Texels whose centres (whole numbers and a half) may lie within. */
-    const int left = (int)ceilf(fminf(s[0]->u, fminf(s[1]->u, s[2]->u)) - 0.5f),
-              right = (int)floorf(fmaxf(s[0]->u, fmaxf(s[1]->u, s[2]->u)) - 0.5f),
-              bottom = (int)ceilf(fminf(s[0]->v, fminf(s[1]->v, s[2]->v)) - 0.5f),
-              top = (int)floorf(fmaxf(s[0]->v, fmaxf(s[1]->v, s[2]->v)) - 0.5f);
     for (int y = bottom; y <= top; y++)
         for (int x = left; x <= right; x++) {
-            const float u = (float)x + 0.5f, v = (float)y + 0.5f;
-            float weight[3];
-            weight[1] = ((u - s[0]->u) * (s[2]->v - s[0]->v) - (s[2]->u - s[0]->u) * (v - s[0]->v)) / area;
-            weight[2] = ((s[1]->u - s[0]->u) * (v - s[0]->v) - (u - s[0]->u) * (s[1]->v - s[0]->v)) / area;
-            weight[0] = 1 - weight[1] - weight[2];
-            if (weight[0] >= 0 && weight[1] >= 0 && weight[2] >= 0)
+            const float u = (float)x + 0.5f - s0->u, v = (float)y + 0.5f - s0->v;
+            const float one = (u * v2 - u2 * v) * per_area, two = (u1 * v - u * v1) * per_area;
+            const float weight[3] = {1 - one - two, one, two};
+            if (weight[0] >= 0 && one >= 0 && two >= 0)
                 colour(a, a->texel[0] + x, a->texel[1] + y, pixel, weight);
         }
 }
