@@ -33,7 +33,7 @@ td_status reconstruct_photo_add(reconstruct_job *work, const reconstruct_frame *
 {
     td_image *raw = NULL, *left = NULL;
     td_error why = {0};
-    if (!work->mosaic) return TD_OK;
+    if (!work->mosaic || f->tally.cells == 0) return TD_OK;
     td_status status = td_image_read(&raw, f->image[0], 3, &why);
     if (status == TD_OK)
         status = td_depth_camera_rectify(&left, NULL, work->depth, raw, NULL, work->how->dense.threads, &why);

@@ -142,7 +142,7 @@ static void disparity_picture(td_report *r, const td_disparity *d)
         if (isfinite(d->value[i])) tint(&image->data[3 * i], ((double)d->value[i] - low) / (high - low));
     char caption[140];
     snprintf(caption, sizeof caption,
-             "its disparities, %.0f (dark blue, far) to %.0f px (yellow, near); black: none, or the machine "
+             "disparities, %.0f (blue, far) to %.0f px (yellow, near); black: none, or the machine "
              "itself",
              low, high);
     td_report_picture(r, image, HALF_PX, caption, NULL, 0);
@@ -212,8 +212,8 @@ static void photo_picture(td_report *r, const td_orthophoto *photo)
     td_image *image = NULL;
     char caption[120];
     if (!photo || td_orthophoto_image(&image, photo, 255, NULL) != TD_OK) return;
-    snprintf(caption, sizeof caption, "orthophoto: %d x %d texels of %.4g m; white: not seen", photo->columns,
-             photo->rows, photo->texel_m);
+    snprintf(caption, sizeof caption, "orthophoto: %d x %d texels of %.4g m", photo->columns, photo->rows,
+             photo->texel_m);
     td_report_picture(r, image, HALF_PX, caption, NULL, 0);
     td_image_free(&image);
 }
@@ -226,20 +226,20 @@ static void map_pictures(td_report *r, const reconstruct_job *work)
     char caption[160];
     if (w.x1 < w.x0) return;
     td_image *shade = hillshade(map, &w);
-    snprintf(caption, sizeof caption, "hillshade: %d x %d cells of %g m; white: not seen", w.x1 - w.x0 + 1,
-             w.y1 - w.y0 + 1, map->cell_m);
+    snprintf(caption, sizeof caption, "hillshade: %d x %d cells of %g m", w.x1 - w.x0 + 1, w.y1 - w.y0 + 1,
+             map->cell_m);
     td_report_grid_begin(r, work->photo ? 2 : 1);
     photo_picture(r, work->photo);
     if (shade) td_report_picture(r, shade, work->photo ? HALF_PX : WIDE_PX, caption, NULL, 0);
     td_report_grid_end(r);
     td_image_free(&shade);
-    td_report_text(r, "Both seen from above, x to the right, y up.");
+    td_report_text(r, "Seen from above, x to the right, y up; white: not seen. Light from the upper left.");
     td_report_grid_begin(r, 2);
     field(r, map, &w, map->height, 1, quantile(map->height, all, 0.002), quantile(map->height, all, 0.998),
           "height", "z (m)");
     /* A few cells at the edges have a large sigma, and would make all others look alike. */
     field(r, map, &w, map->sigma, 1e3, 0, quantile(map->sigma, all, 0.95),
-          "standard deviation of the height (brightest: the worst 5 %)", "sigma (mm)");
+          "standard deviation (brightest: the worst 5 %)", "sigma (mm)");
     td_report_grid_end(r);
     sigma_histogram(r, map);
 }
