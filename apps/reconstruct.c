@@ -5,14 +5,13 @@
 #include <string.h>
 
 #include "apps/reconstruct_internal.h"
-#include "core/cloud.h"
 #include "core/file.h"
 
-static const char *dataset_path, *rig_path, *prior_path, *region_text, *method = "ours";
+static const char *dataset_path, *rig_path, *prior_path, *region_text, *crs, *method = "ours";
 static cli_common common;
 static cli_list gates;
 static bool accept;
-static int gate_every = 10, levels = 0, believe = 3;
+static int gate_every = 10, levels = 0, believe = 3, texels = 4;
 static double near_m = 2, far_m = 20, cell_m = 0.05, prior_sigma_m = 0.5;
 
 static const char *const methods[] = {"ours", "opencv", NULL};
@@ -40,6 +39,14 @@ static cli_option options[] = {
      1e-3, 100, NULL},
     {CLI_INT, "believe", 0, &believe, "N",
      "frames in a row that must agree that the ground has changed; default 3", 1, 100, NULL},
+    {.type = CLI_HEADING, .name = "The products"},
+    {CLI_INT, "texels", 0, &texels, "N",
+     "of the orthophoto, along the side of a cell: 1, 2, 4 (default) or 8; 0: no orthophoto", 0, 8, NULL},
+    {CLI_STRING, "crs", 0, &crs, "EPSG:CODE",
+     "coordinate reference system of the site's x (east) and y (north), in metres: written into the "
+     "products; "
+     "default: the prior map's",
+     0, 0, NULL},
     {.type = CLI_HEADING, .name = "The quality gate"},
     {CLI_INT, "look", 0, &gate_every, "N",
      "look at the epipolar residual of the first and each N-th frame; default 10; 0: never", 0, 1000000,
@@ -47,7 +54,8 @@ static cli_option options[] = {
     {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
     {CLI_FLAG, "accept", 0, &accept, NULL, "end with status 0 even when the gate refuses", 0, 0, NULL},
     CLI_COMMON_OPTIONS(common,
-                       "folder for the products: map.tif, map.ply, result.yaml, report.html, log.jsonl",
+                       "folder for the products: map.tif, orthophoto.tif, map.ply, map.las, map.glb, "
+                       "result.yaml, report.html, log.jsonl",
                        "this job draws none"),
 };
 
@@ -62,6 +70,11 @@ static cli_command command = {
         "deviation, a count and where they come from. With a robot (robot: {urdf, mount} in dataset.yaml, "
         "joint "
         "angles in frames.csv) the machine's own arm is left out.\n\n"
+        "Products: map.tif (GeoTIFF: height, sigma, count, provenance, time), orthophoto.tif (GeoTIFF, "
+        "RGBA), "
+        "map.ply and map.las (the cells as points with colour and sigma), map.glb (glTF: the surface with "
+        "the "
+        "orthophoto on it, Y up, origin in its extras), report.html.\n\n"
         "Run again after an interruption or a kill, it goes on where it stopped, and ends with the same "
         "bytes. A "
         "frame that fails is named, the others go on, and the exit status is 3. Exit status: 0 done, 1 "
@@ -100,40 +113,6 @@ static td_status parse_region(double region[4], td_error *error)
     return TD_OK;
 }
 
-/* The cells as points, for viewers of clouds; grey by height. */
-static td_status write_cloud(const td_elevation *map, const char *path, td_error *error)
-{
-    size_t cells = (size_t)map->columns * (size_t)map->rows, n = 0;
-    td_cloud *cloud = NULL;
-    char comment[TD_NAME_SIZE + 40];
-    for (size_t i = 0; i < cells; i++) n += isfinite(map->height[i]);
-    TD_TRY(td_cloud_new(&cloud, n, 0, error));
-    n = 0;
-    for (size_t i = 0; i < cells; i++) {
-        if (!isfinite(map->height[i])) continue;
-        td_cloud_point *p = &cloud->point[n++];
-        p->p[0] = map->origin[0] + (double)(i % (size_t)map->columns) * map->cell_m;
-        p->p[1] = map->origin[1] + (double)(i / (size_t)map->columns) * map->cell_m;
-        p->p[2] = map->height[i];
-        p->sigma = map->sigma[i];
-        p->rgb[0] = p->rgb[1] = p->rgb[2] = 160;
-    }
-    snprintf(comment, sizeof comment, "frame %s, unit m", map->frame);
-    td_status status = td_cloud_write_ply(cloud, path, comment, error);
-    td_cloud_free(&cloud);
-    return status;
-}
-
-static td_status write_files(const reconstruct_job *work, job *j)
-{
-    char *map = job_path(j, "map.tif"), *cloud = job_path(j, "map.ply");
-    td_status status = map && cloud ? td_elevation_write(work->map, map, &j->error) : TD_ERROR_MEMORY;
-    if (status == TD_OK) status = write_cloud(work->map, cloud, &j->error);
-    free(map);
-    free(cloud);
-    return status;
-}
-
 static td_status run(reconstruct_job *work, job *j, td_dataset **dataset)
 {
     gate_row rows[8];
@@ -143,6 +122,9 @@ static td_status run(reconstruct_job *work, job *j, td_dataset **dataset)
     if (!dataset_path)
         return td_fail(&j->error, TD_ERROR_ARGUMENT, "DATASET is missing (usage: teledimos %s %s)",
                        command.name, command.usage);
+    if (texels != 0 && texels != 1 && texels != 2 && texels != 4 && texels != 8)
+        return td_fail(&j->error, TD_ERROR_ARGUMENT, "--texels: must be 0, 1, 2, 4 or 8, not %d", texels);
+    TD_TRY(reconstruct_crs(work, NULL, &j->error));
     if (!(near_m < far_m)) return td_fail(&j->error, TD_ERROR_ARGUMENT, "--near must be below --far");
     TD_TRY(parse_region(work->how->fusion.region, &j->error));
     TD_TRY(td_dataset_read(dataset, dataset_path, &j->error));
@@ -157,7 +139,7 @@ static td_status run(reconstruct_job *work, job *j, td_dataset **dataset)
     reconstruct_judge(work, rows);
     if (terminal_interrupted())
         return td_fail(&j->error, TD_ERROR_CANCELLED, "interrupted: run again to go on");
-    TD_TRY(write_files(work, j));
+    TD_TRY(reconstruct_products(work, j));
     const job_output output = {reconstruct_report, reconstruct_table, work};
     return job_finish(j, reconstruct_result(work), &output);
 }
@@ -174,6 +156,8 @@ int main(int argc, char **argv)
     reconstruct_how how = {.rig = rig_path,
                            .prior = prior_path,
                            .output = common.output,
+                           .crs = crs,
+                           .texels = texels,
                            .camera = {0, 1},
                            .near_m = near_m,
                            .far_m = far_m,

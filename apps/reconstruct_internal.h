@@ -11,6 +11,7 @@
 #include "core/robot.h"
 #include "recon/epipolar_gate.h"
 #include "recon/fusion.h"
+#include "recon/mosaic.h"
 
 enum { FRAME_REASON_SIZE = 400 };
 
@@ -34,7 +35,8 @@ typedef struct reconstruct_frame {
 
 /* What was asked for. */
 typedef struct reconstruct_how {
-    const char *rig, *prior, *output;
+    const char *rig, *prior, *output, *crs;
+    int texels; /* of the orthophoto, along a cell; 0: none */
     int camera[2];
     double near_m, far_m, prior_sigma_m;
     td_dense_options dense;
@@ -58,12 +60,16 @@ typedef struct reconstruct_job {
     td_pair pair;
     td_depth_camera *depth;
     td_fusion *fusion;
+    td_mosaic *mosaic;          /* NULL: no orthophoto is asked for */
     char key[TD_HASH_HEX_SIZE]; /* of all that the map depends on but the images */
     size_t resumed;             /* frames taken over from an earlier run */
     td_elevation *map;
+    td_orthophoto *photo; /* NULL: none */
+    bool has_mesh;
     double rms_epipolar_px; /* worst of the frames looked at; NaN */
     /* Of the last good frame, for the report. */
-    td_image *shown_left;
+    const reconstruct_frame *shown_frame;
+    td_image *shown_left, *shown_right;
     td_disparity *shown;
     gate_result gate;
     double seconds;
@@ -82,7 +88,20 @@ td_status reconstruct_run(reconstruct_job *work, td_error *error);
 td_status reconstruct_state_load(reconstruct_job *work, td_error *error);
 td_status reconstruct_state_save(const reconstruct_job *work, size_t frames_done, td_error *error);
 
+/* reconstruct_products.c: the orthophoto with the map's frames, its part of the state, and the files. */
+td_status reconstruct_photo_begin(reconstruct_job *work, td_error *error);
+td_status reconstruct_photo_add(reconstruct_job *work, const reconstruct_frame *f,
+                                const td_fusion_frame *frame, td_error *error);
+td_status reconstruct_photo_save(const reconstruct_job *work, size_t frames_done, td_error *error);
+td_status reconstruct_photo_load(reconstruct_job *work, size_t frames_done, td_error *error);
+/* Refuses --crs where it is none, or another than the prior's (NULL: none). */
+td_status reconstruct_crs(const reconstruct_job *work, const char *prior, td_error *error);
+td_status reconstruct_products(reconstruct_job *work, job *j);
+json_t *reconstruct_product_names(const reconstruct_job *work);
+
 void reconstruct_judge(reconstruct_job *work, const gate_row *rows);
+/* Of the points about the cells that they became part of, m; NaN: none. */
+double reconstruct_rms(const reconstruct_job *work);
 json_t *reconstruct_result(const reconstruct_job *work);
 void reconstruct_table(const void *job);
 td_status reconstruct_report(const void *job, const char *path, td_error *error);

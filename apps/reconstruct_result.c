@@ -26,6 +26,7 @@ const td_schema_row reconstruct_schema[] = {
     {"dataset", TD_SCHEMA_STRING, true, false, "name"},
     {"cameras", TD_SCHEMA_STRINGS, true, false, "of the rig: left, right"},
     {"frame", TD_SCHEMA_STRING, true, false, "of the map: site, vehicle or rig"},
+    {"crs", TD_SCHEMA_STRING, true, true, "coordinate reference system of the products; null: none"},
     {"verdict", TD_SCHEMA_STRING, true, false, "accepted, warned or refused"},
     {"reasons", TD_SCHEMA_STRINGS, true, false, "sentences behind the verdict"},
     {"map", TD_SCHEMA_OBJECT, true, false, "elevation map"},
@@ -35,7 +36,8 @@ const td_schema_row reconstruct_schema[] = {
     {"map.cells", TD_SCHEMA_INT, true, false, "with a height"},
     {"map.share_measured", TD_SCHEMA_REAL, true, true, "of them that images measured; null: there is none"},
     {"map.rms_m", TD_SCHEMA_REAL, true, true,
-     "RMS of the heights' standard deviations; null where the rig has no covariance"},
+     "RMS of the points' heights above the cells that they became part of, slope taken off, when they were "
+     "fused; null: no point"},
     {"map.sigma_median_m", TD_SCHEMA_REAL, true, true, "median of them"},
     {"map.height_m", TD_SCHEMA_REALS, true, true, "lowest and highest"},
     {"frames", TD_SCHEMA_OBJECT, true, false, "what went in"},
@@ -52,7 +54,15 @@ const td_schema_row reconstruct_schema[] = {
     {"epipolar_px", TD_SCHEMA_REAL, true, true, "worst frame looked at; null: too few matches"},
     {"seconds", TD_SCHEMA_REAL, true, false, "wall-clock time of this run"},
     {"products", TD_SCHEMA_OBJECT, true, false, "files in the folder"},
-    {"products.*", TD_SCHEMA_STRING, true, false, "file name"},
+    {"products.map", TD_SCHEMA_STRING, true, false,
+     "GeoTIFF, cloud-optimised: height, sigma, count, provenance, time"},
+    {"products.orthophoto", TD_SCHEMA_STRING, false, false, "GeoTIFF, cloud-optimised: RGBA"},
+    {"products.cloud", TD_SCHEMA_STRING, true, false, "PLY: the cells as points, colour, sigma"},
+    {"products.las", TD_SCHEMA_STRING, true, false, "LAS 1.4: the same, sigma as an extra dimension"},
+    {"products.mesh", TD_SCHEMA_STRING, false, false, "binary glTF: the surface with the orthophoto on it"},
+    {"products.result", TD_SCHEMA_STRING, true, false, "this"},
+    {"products.report", TD_SCHEMA_STRING, true, false, "for people"},
+    {"products.log", TD_SCHEMA_STRING, true, false, "messages, a JSON object a line"},
 };
 const size_t reconstruct_schema_count = sizeof reconstruct_schema / sizeof *reconstruct_schema;
 
@@ -69,14 +79,14 @@ static int by_value(const void *a, const void *b)
 
 typedef struct map_figures {
     size_t cells, measured;
-    double rms_sigma, median_sigma, low, high;
+    double median_sigma, low, high;
 } map_figures;
 
 static map_figures measure(const td_elevation *map)
 {
     size_t all = (size_t)map->columns * (size_t)map->rows, n = 0;
-    map_figures m = {.rms_sigma = NAN, .median_sigma = NAN, .low = INFINITY, .high = -INFINITY};
-    double *sigma = malloc((all + 1) * sizeof *sigma), square = 0;
+    map_figures m = {.median_sigma = NAN, .low = INFINITY, .high = -INFINITY};
+    double *sigma = malloc((all + 1) * sizeof *sigma);
     for (size_t i = 0; i < all; i++) {
         if (!isfinite(map->height[i])) continue;
         m.cells++;
@@ -84,16 +94,24 @@ static map_figures measure(const td_elevation *map)
         m.low = fmin(m.low, map->height[i]);
         m.high = fmax(m.high, map->height[i]);
         if (!sigma || !isfinite(map->sigma[i])) continue;
-        square += (double)map->sigma[i] * map->sigma[i];
         sigma[n++] = map->sigma[i];
     }
     if (n) {
         qsort(sigma, n, sizeof *sigma, by_value);
         m.median_sigma = sigma[n / 2];
-        m.rms_sigma = sqrt(square / (double)n);
     }
     free(sigma);
     return m;
+}
+
+double reconstruct_rms(const reconstruct_job *work)
+{
+    double square = 0, points = 0;
+    for (size_t i = 0; i < work->count; i++) {
+        square += work->frame[i].tally.square_m2;
+        points += (double)work->frame[i].tally.believed;
+    }
+    return points > 0 ? sqrt(square / points) : NAN;
 }
 
 static size_t count_failed(const reconstruct_job *work)
@@ -158,7 +176,7 @@ static json_t *map_json(const reconstruct_job *work)
     set(o, "cell_m", td_json_real(work->map->cell_m));
     set(o, "cells", json_integer((json_int_t)m.cells));
     set(o, "share_measured", td_json_real(m.cells ? (double)m.measured / (double)m.cells : NAN));
-    set(o, "rms_m", td_json_real(m.rms_sigma));
+    set(o, "rms_m", td_json_real(reconstruct_rms(work)));
     set(o, "sigma_median_m", td_json_real(m.median_sigma));
     set(o, "height_m", m.cells ? td_json_reals(range, 2) : json_null());
     return o;
@@ -195,6 +213,7 @@ json_t *reconstruct_result(const reconstruct_job *work)
         json_pack("[s, s]", work->rig->camera[work->pair.left].name,
                   work->rig->camera[work->pair.right].name));
     set(root, "frame", json_string(work->map->frame));
+    set(root, "crs", work->map->crs ? json_string(work->map->crs) : json_null());
     set(root, "verdict", json_string(verdict_name(work->gate.verdict)));
     for (size_t i = 0; i < work->gate.count; i++)
         json_array_append_new(reasons, json_string(work->gate.reason[i]));
@@ -207,9 +226,7 @@ json_t *reconstruct_result(const reconstruct_job *work)
     set(root, "cleared", json_integer((json_int_t)t.cleared));
     set(root, "epipolar_px", td_json_real(work->rms_epipolar_px));
     set(root, "seconds", td_json_real(work->seconds));
-    set(root, "products",
-        json_pack("{s:s, s:s, s:s, s:s, s:s}", "map", "map.tif", "cloud", "map.ply", "result", "result.yaml",
-                  "report", "report.html", "log", "log.jsonl"));
+    set(root, "products", reconstruct_product_names(work));
     return root;
 }
 
@@ -234,6 +251,8 @@ void reconstruct_table(const void *found)
            work->map->cell_m, m.cells);
     if (m.cells) printf(" from %.3f to %.3f m", m.low, m.high);
     if (isfinite(m.median_sigma)) printf(", median sigma %.1f mm", 1e3 * m.median_sigma);
+    if (isfinite(reconstruct_rms(work)))
+        printf(";\npoints lie %.1f mm (RMS) from it", 1e3 * reconstruct_rms(work));
     if (work->resumed) printf("\n%zu frames were taken over from an earlier run", work->resumed);
     printf("\n\nverdict: %s\n", verdict_name(work->gate.verdict));
     for (size_t i = 0; i < work->gate.count; i++) printf("  - %s\n", work->gate.reason[i]);

@@ -80,13 +80,17 @@ static void keep_matched(td_disparity *d, reconstruct_frame *f)
     f->matched = (double)matched / (double)pixels;
 }
 
-static void show(reconstruct_job *work, td_image **left, td_disparity **disparity)
+static void show(reconstruct_job *work, const reconstruct_frame *f, td_image **left, td_image **right,
+                 td_disparity **disparity)
 {
     td_image_free(&work->shown_left);
+    td_image_free(&work->shown_right);
     td_disparity_free(&work->shown);
+    work->shown_frame = f;
     work->shown_left = *left;
+    work->shown_right = *right;
     work->shown = *disparity;
-    *left = NULL;
+    *left = *right = NULL;
     *disparity = NULL;
 }
 
@@ -107,8 +111,9 @@ static td_status take(reconstruct_job *work, reconstruct_frame *f, td_image *con
         td_fusion_frame with = frame;
         with.disparity = disparity;
         status = td_fusion_add(work->fusion, &with, &f->tally, error);
+        if (status == TD_OK) status = reconstruct_photo_add(work, f, &with, error);
     }
-    if (status == TD_OK) show(work, &left, &disparity);
+    if (status == TD_OK) show(work, f, &left, &right, &disparity);
     td_image_free(&left);
     td_image_free(&right);
     td_disparity_free(&disparity);
@@ -148,10 +153,14 @@ static td_status prepare(reconstruct_job *work, td_error *error)
     TD_TRY(reconstruct_state_load(work, error));
     if (work->fusion) return TD_OK;
     TD_TRY(td_fusion_new(&work->fusion, &h->fusion, error));
+    TD_TRY(reconstruct_photo_begin(work, error));
     if (!h->prior) return TD_OK;
     td_elevation *prior = NULL;
     TD_TRY(td_elevation_read(&prior, h->prior, error));
-    td_status status = td_fusion_prior(work->fusion, prior, h->prior_sigma_m, error);
+    /* A foreign map names no frame: its coordinates are the site's. */
+    if (prior->crs && strcmp(prior->frame, "world") == 0) strcpy(prior->frame, h->fusion.frame);
+    td_status status = reconstruct_crs(work, prior->crs, error);
+    if (status == TD_OK) status = td_fusion_prior(work->fusion, prior, h->prior_sigma_m, error);
     td_elevation_free(&prior);
     return status;
 }
@@ -188,7 +197,10 @@ void reconstruct_free(reconstruct_job *work)
     td_rig_free(&work->rig);
     td_robot_free(&work->robot);
     td_elevation_free(&work->map);
+    td_mosaic_free(&work->mosaic);
+    td_orthophoto_free(&work->photo);
     td_image_free(&work->shown_left);
+    td_image_free(&work->shown_right);
     td_disparity_free(&work->shown);
     free(work->q);
     free(work->frame);

@@ -22,13 +22,13 @@ static char *state_path(const reconstruct_job *work, const char *name)
 static json_t *frame_json(const reconstruct_frame *f)
 {
     const td_fusion_tally *t = &f->tally;
-    return json_pack("{s:s, s:s, s:b, s:s, s:o, s:o, s:o, s:o, s:I, s:I, s:I, s:I, s:I, s:I}", "name",
-                     f->name, "sha256", f->sha256, "failed", f->failed, "reason", f->reason, "matched",
-                     td_json_real(f->matched), "masked", td_json_real(f->masked), "epipolar_px",
-                     td_json_real(f->epipolar_px), "seconds", td_json_real(f->seconds), "points",
-                     (json_int_t)t->points, "cells", (json_int_t)t->cells, "new_cells",
-                     (json_int_t)t->new_cells, "gated", (json_int_t)t->gated, "reset", (json_int_t)t->reset,
-                     "cleared", (json_int_t)t->cleared);
+    return json_pack(
+        "{s:s, s:s, s:b, s:s, s:o, s:o, s:o, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:o}", "name", f->name,
+        "sha256", f->sha256, "failed", f->failed, "reason", f->reason, "matched", td_json_real(f->matched),
+        "masked", td_json_real(f->masked), "epipolar_px", td_json_real(f->epipolar_px), "seconds",
+        td_json_real(f->seconds), "points", (json_int_t)t->points, "cells", (json_int_t)t->cells, "new_cells",
+        (json_int_t)t->new_cells, "gated", (json_int_t)t->gated, "reset", (json_int_t)t->reset, "cleared",
+        (json_int_t)t->cleared, "believed", (json_int_t)t->believed, "square_m2", td_json_real(t->square_m2));
 }
 
 static td_status write_progress(const reconstruct_job *work, size_t frames, const char *map, td_error *error)
@@ -56,6 +56,8 @@ td_status reconstruct_state_save(const reconstruct_job *work, size_t frames, td_
     char *folder = td_path_join(work->how->output, "state"), *map = state_path(work, name[0]);
     td_status status =
         folder && map ? td_folder_make(folder, error) : td_fail(error, TD_ERROR_MEMORY, "out of memory");
+    /* Before the map: a photo that belongs to other frames than the progress tells that the map does. */
+    if (status == TD_OK) status = reconstruct_photo_save(work, frames, error);
     if (status == TD_OK) status = td_fusion_save(work->fusion, map, error);
     if (status == TD_OK) status = write_progress(work, frames, name[0], error);
     free(folder);
@@ -66,8 +68,9 @@ td_status reconstruct_state_save(const reconstruct_job *work, size_t frames, td_
 static td_status read_frame(reconstruct_frame *f, const td_field *at, td_error *error)
 {
     const char *name, *sha, *reason;
-    double counts[6];
-    static const char *const keys[6] = {"points", "cells", "new_cells", "gated", "reset", "cleared"};
+    double counts[8];
+    static const char *const keys[8] = {"points", "cells",   "new_cells", "gated",
+                                        "reset",  "cleared", "believed",  "square_m2"};
     td_field field = td_field_get(at, "name");
     TD_TRY(td_field_string(&name, &field, error));
     if (strcmp(name, f->name) != 0) return td_field_fail(&field, error, "another frame");
@@ -79,12 +82,12 @@ static td_status read_frame(reconstruct_frame *f, const td_field *at, td_error *
     TD_TRY(td_field_bool(&f->failed, &field, error));
     snprintf(f->sha256, sizeof f->sha256, "%s", sha);
     snprintf(f->reason, sizeof f->reason, "%s", reason);
-    for (int k = 0; k < 6; k++) {
+    for (int k = 0; k < 8; k++) {
         field = td_field_get(at, keys[k]);
         TD_TRY(td_field_real(&counts[k], &field, 0, 1e15, error));
     }
-    f->tally = (td_fusion_tally){(size_t)counts[0], (size_t)counts[1], (size_t)counts[2],
-                                 (size_t)counts[3], (size_t)counts[4], (size_t)counts[5]};
+    f->tally = (td_fusion_tally){(size_t)counts[0], (size_t)counts[1], (size_t)counts[2], (size_t)counts[3],
+                                 (size_t)counts[4], (size_t)counts[5], (size_t)counts[6], counts[7]};
     double *const value[4] = {&f->matched, &f->masked, &f->epipolar_px, &f->seconds};
     static const char *const names[4] = {"matched", "masked", "epipolar_px", "seconds"};
     for (int k = 0; k < 4; k++) {
@@ -130,6 +133,7 @@ static td_status read_progress(reconstruct_job *work, const json_t *document, co
     td_status status = file ? td_fusion_load(&work->fusion, &work->how->fusion, file, error)
                             : td_fail(error, TD_ERROR_MEMORY, "out of memory");
     free(file);
+    if (status == TD_OK) status = reconstruct_photo_load(work, count, error);
     if (status == TD_OK) work->resumed = count;
     return status;
 }
@@ -159,6 +163,7 @@ td_status reconstruct_state_load(reconstruct_job *work, td_error *error)
         if (status != TD_OK) {
             td_log_write(work->how->log, TD_LOG_WARNING, "reconstruct", "beginning anew: %s", why.message);
             td_fusion_free(&work->fusion);
+            td_mosaic_free(&work->mosaic);
             work->resumed = 0;
             forget(work);
         }

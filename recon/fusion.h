@@ -70,6 +70,8 @@ typedef struct td_fusion_tally {
     size_t gated;     /* of these: contradicted the cell, and not believed yet */
     size_t reset;     /* of these: believed now */
     size_t cleared;   /* others, which were looked through */
+    size_t believed;  /* points in cells that were not gated, */
+    double square_m2; /* and the sum of their squared heights above them, slope taken off, once fused */
 } td_fusion_tally;
 /* Disparities that are filled, not matched, are left out. A refused frame changes nothing; after a failure of
  * memory or of the folder the map is to be given up. `tally` may be NULL. */
