@@ -97,17 +97,20 @@ static bool sort_triangles(uint32_t (*triangle)[3], size_t count, size_t point_c
 static bool delaunay(uint32_t (**triangles)[3], size_t *count, const double (*xyz)[3], size_t n)
 {
     uint32_t *index = malloc(n * sizeof *index);
+    double(*xy)[2] = malloc(n * sizeof *xy);
     size_t vertices = 0, kept = n;
-    bool fine = index != NULL;
+    bool fine = index && xy;
     for (size_t i = 0; fine && i < n; i++) index[i] = (uint32_t)i;
-    fine = fine && td_tin_delaunay(triangles, count, &vertices, xyz, index, n);
+    fine =
+        fine && td_tin_order(xy, index, xyz, n) && td_tin_delaunay(triangles, count, &vertices, xy, index, n);
     if (fine && vertices < n) {
         free(*triangles);
         *triangles = NULL;
-        fine = first_of_each_place(index, &kept, xyz, n) &&
-               td_tin_delaunay(triangles, count, &vertices, xyz, index, kept);
+        fine = first_of_each_place(index, &kept, xyz, n) && td_tin_order(xy, index, xyz, kept) &&
+               td_tin_delaunay(triangles, count, &vertices, xy, index, kept);
     }
     free(index);
+    free(xy);
     return fine && sort_triangles(*triangles, *count, n);
 }
 

@@ -1,0 +1,114 @@
+/* The order in which points are inserted into a triangulation: rounds of a biased randomised insertion
+ * (Amenta, Choi and Rote 2003), each three times as many points as all before it, and within a round along
+ * Hilbert's curve, so that the next point is near the last. The rounds keep points on one curve, such as a
+ * contour, from taking quadratic time. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "recon/tin_internal.h"
+
+enum {
+    AXIS_BITS = 16, /* of the curve along each axis: with a point a thousand times as far off as the others
+                       are from each other these still lie in thousands of squares */
+    ROUND_BITS = 4,
+    DIGIT_BITS = 12,
+    DIGITS = 3, /* of a key: 2 * 16 + 4 = 3 * 12 bits */
+    BUCKETS = 1 << DIGIT_BITS
+};
+
+typedef struct keyed {
+    uint64_t key;
+    uint32_t index;
+} keyed;
+
+/* Place of cell (x, y) along Hilbert's curve, two bits a step: `turned` and `flipped` say how the curve's
+ * part in the present square lies. */
+static uint64_t along_curve(uint32_t x, uint32_t y)
+{
+    uint64_t place = 0;
+    for (int bit = AXIS_BITS - 1; bit >= 0; bit--) {
+        const uint32_t right = x >> bit & 1, up = y >> bit & 1;
+        place = place << 2 | ((3 * right) ^ up);
+        /* In the lower half the part is mirrored at a diagonal: without branches, for no one foretells them.
+         */
+        const uint32_t flip = 0 - (right & (up ^ 1)), swap = (x ^ y) & (0 - (up ^ 1));
+        x ^= flip;
+        y ^= flip;
+        x ^= swap;
+        y ^= swap;
+    }
+    return place;
+}
+
+/* 0 for one point in 4^15, 15 for three in four: by the number of trailing zeros of a scrambled index. */
+static uint64_t round_of(uint32_t index)
+{
+    uint32_t h = index + 1;
+    h = (h ^ h >> 16) * 0x85ebca6bu;
+    h = (h ^ h >> 13) * 0xc2b2ae35u;
+    h ^= h >> 16;
+    uint64_t round = (1 << ROUND_BITS) - 1;
+    for (; round > 0 && (h & 3) == 0; h >>= 2) round--;
+    return round;
+}
+
+static void make_keys(keyed *key, const double (*xyz)[3], const uint32_t *index, size_t n)
+{
+    double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
+    for (size_t i = 0; i < n; i++)
+        for (int k = 0; k < 2; k++) {
+            const double u = xyz[index[i]][k];
+            if (u < low[k]) low[k] = u;
+            if (u > high[k]) high[k] = u;
+        }
+    const double side = fmax(high[0] - low[0], high[1] - low[1]);
+    const double scale = side > 0 && isfinite(side) ? ((1 << AXIS_BITS) - 1) / side : 0;
+    for (size_t i = 0; i < n; i++) {
+        const uint32_t x = (uint32_t)((xyz[index[i]][0] - low[0]) * scale);
+        const uint32_t y = (uint32_t)((xyz[index[i]][1] - low[1]) * scale);
+        key[i].key = round_of((uint32_t)i) << 2 * AXIS_BITS | along_curve(x, y);
+        key[i].index = index[i];
+    }
+}
+
+/* A stable sort by the digits of the key, the lowest first; `other` (n) is room. Returns where the result is.
+ */
+static const keyed *sort_keys(keyed *key, keyed *other, size_t n, size_t (*bucket)[BUCKETS])
+{
+    memset(bucket, 0, DIGITS * sizeof *bucket);
+    for (size_t i = 0; i < n; i++)
+        for (int d = 0; d < DIGITS; d++) bucket[d][key[i].key >> d * DIGIT_BITS & (BUCKETS - 1)]++;
+    for (int d = 0; d < DIGITS; d++) {
+        size_t begin = 0;
+        for (int b = 0; b < BUCKETS; b++) {
+            const size_t size = bucket[d][b];
+            bucket[d][b] = begin;
+            begin += size;
+        }
+        for (size_t i = 0; i < n; i++)
+            other[bucket[d][key[i].key >> d * DIGIT_BITS & (BUCKETS - 1)]++] = key[i];
+        keyed *swap = key;
+        key = other;
+        other = swap;
+    }
+    return key;
+}
+
+bool td_tin_order(double (*xy)[2], uint32_t *index, const double (*xyz)[3], size_t n)
+{
+    keyed *key = malloc(2 * (n + 1) * sizeof *key);
+    size_t(*bucket)[BUCKETS] = malloc(DIGITS * sizeof *bucket);
+    const bool fine = key && bucket;
+    if (fine) {
+        make_keys(key, xyz, index, n);
+        const keyed *sorted = sort_keys(key, key + n, n, bucket);
+        for (size_t i = 0; i < n; i++) {
+            index[i] = sorted[i].index;
+            memcpy(xy[i], xyz[sorted[i].index], sizeof xy[i]);
+        }
+    }
+    free(key);
+    free(bucket);
+    return fine;
+}
