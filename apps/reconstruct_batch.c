@@ -4,7 +4,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/resource.h>
 
 #include "apps/reconstruct_internal.h"
 #include "apps/reconstruct_team.h"
@@ -18,16 +17,18 @@ typedef struct tile_box {
 } tile_box;
 
 enum { TILE_SIDE = 128, MOST_COUNTED = 1 << 24 };
+static const double MODULES = 64e6; /* GDAL, loaded when the map is written */
 
-static double available_memory(void)
+/* Bytes that Linux tells in a line "KEY: 1234 kB" of such a file; NaN: it does not. */
+static double told_by(const char *path, const char *key)
 {
     char line[200];
-    double kilobytes = NAN;
-    FILE *file = fopen("/proc/meminfo", "r");
-    while (file && !isfinite(kilobytes) && fgets(line, sizeof line, file))
-        if (sscanf(line, "MemAvailable: %lf", &kilobytes) != 1) kilobytes = NAN;
+    double bytes = NAN;
+    FILE *file = fopen(path, "r");
+    while (file && !isfinite(bytes) && fgets(line, sizeof line, file))
+        if (strncmp(line, key, strlen(key)) == 0) bytes = 1024 * strtod(line + strlen(key), NULL);
     if (file) fclose(file);
-    return 1024 * kilobytes;
+    return bytes;
 }
 
 /* Everything that the left camera may see from near_m to far_m lies between the eight corners of its view. */
@@ -122,20 +123,22 @@ void reconstruct_memory_foresee(reconstruct_job *work)
     const double tiles = count_tiles(&around, work);
     m->tiles = tiles * td_fusion_memory_of(TILE_SIDE, TILE_SIDE, 1);
     m->resident = fmin(m->tiles, (double)work->how->fusion.memory_bytes);
-    m->products = cells * (around * per_cell + tiles * (double)sizeof(td_cloud_point));
-    m->available = available_memory();
-    const double all = m->frame + m->resident + m->products;
+    m->products = MODULES + cells * (around * per_cell + tiles * (double)sizeof(td_cloud_point));
+    m->program = told_by("/proc/self/status", "VmRSS:");
+    const double available = told_by("/proc/meminfo", "MemAvailable:");
+    const double all = m->program + m->frame + m->resident + m->products;
     td_log_write(
         work->how->log, TD_LOG_INFO, "reconstruct",
-        "memory: at most %.0f MB: a frame %.0f, the map %.0f of %.0f (the others in the folder), its "
-        "products %.0f; another process of the team: %.0f",
-        all / 1e6, m->frame / 1e6, m->resident / 1e6, m->tiles / 1e6, m->products / 1e6, m->frame / 1e6);
-    if (all > m->available)
+        "memory: at most %.0f MB: the program %.0f, a frame %.0f, the map %.0f of %.0f (the others in "
+        "the folder), its products %.0f; each further process of a team: %.0f",
+        all / 1e6, m->program / 1e6, m->frame / 1e6, m->resident / 1e6, m->tiles / 1e6, m->products / 1e6,
+        (m->program + m->frame) / 1e6);
+    if (all > available + m->program)
         td_log_write(
             work->how->log, TD_LOG_WARNING, "reconstruct",
             "memory: up to %.0f MB may be needed, %.0f MB are free: larger cells (--cell), a --region "
             "or a smaller --far need less",
-            all / 1e6, m->available / 1e6);
+            (all - m->program) / 1e6, available / 1e6);
 }
 
 /* ---- skew ---- */
@@ -172,12 +175,6 @@ void reconstruct_skew(reconstruct_job *work)
 
 /* ---- in the end ---- */
 
-static double peak_memory(void)
-{
-    struct rusage used;
-    return getrusage(RUSAGE_SELF, &used) == 0 ? 1024.0 * (double)used.ru_maxrss : (double)NAN;
-}
-
 void reconstruct_summary(const reconstruct_job *work)
 {
     const reconstruct_memory *m = &work->memory;
@@ -190,5 +187,6 @@ void reconstruct_summary(const reconstruct_job *work)
     if (done) printf(", %.2f s a frame", work->seconds / (double)done);
     if (team_size() > 1) printf(", by %d processes", team_size());
     printf("\nmemory: at most %.0f MB were foreseen, %.0f MB were used\n",
-           (m->frame + m->resident + m->products) / 1e6, peak_memory() / 1e6);
+           (m->program + m->frame + m->resident + m->products) / 1e6,
+           told_by("/proc/self/status", "VmHWM:") / 1e6);
 }

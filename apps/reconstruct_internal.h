@@ -51,11 +51,11 @@ typedef struct reconstruct_video {
 
 /* Bytes of memory. */
 typedef struct reconstruct_memory {
-    double frame;     /* a frame while it is worked on */
-    double tiles;     /* of the map, if all that the cameras can see is known */
-    double resident;  /* of them, those in memory */
-    double products;  /* the finished map and its cloud */
-    double available; /* when it began; NaN: not known */
+    double program;  /* when it began */
+    double frame;    /* a frame while it is worked on */
+    double tiles;    /* of the map, if all that the cameras can see is known */
+    double resident; /* of them, those in memory */
+    double products; /* the finished map and its cloud */
 } reconstruct_memory;
 
 /* What was asked for. */

@@ -2,6 +2,7 @@
  * file and the frames in it. The map is written to the file that the present progress does not name, then the
  * progress: at any moment one whole state is there. DIR/state/lock is locked as long as a process works on
  * DIR, for two would mix their maps. */
+#include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <math.h>
@@ -67,9 +68,23 @@ td_status reconstruct_state_save(reconstruct_job *work, size_t frames, td_error 
     return status;
 }
 
+/* What a killed run was writing. */
+static void sweep(const char *folder)
+{
+    DIR *list = opendir(folder);
+    const struct dirent *entry;
+    while (list && (entry = readdir(list))) {
+        if (strncmp(entry->d_name, ".teledimos-", 11) != 0) continue;
+        char *path = td_path_join(folder, entry->d_name);
+        if (path) unlink(path);
+        free(path);
+    }
+    if (list) closedir(list);
+}
+
 td_status reconstruct_state_lock(reconstruct_job *work, td_error *error)
 {
-    enum { TRIES = 50 }; /* 5 s: ranks of a run that was killed may take a moment to end */
+    enum { TRIES = 30 }; /* 3 s: ranks of a run that was killed may take a moment to end */
     const struct timespec moment = {0, 100000000};
     char *folder = state_path(work, "."), *path = state_path(work, "lock");
     td_status status =
@@ -89,6 +104,8 @@ td_status reconstruct_state_lock(reconstruct_job *work, td_error *error)
         else
             nanosleep(&moment, NULL);
     }
+    if (status == TD_OK) sweep(folder);
+    if (status == TD_OK) sweep(work->how->output);
     free(folder);
     free(path);
     return status;
