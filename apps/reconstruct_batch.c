@@ -139,6 +139,11 @@ void reconstruct_memory_foresee(reconstruct_job *work)
             "memory: up to %.0f MB may be needed, %.0f MB are free: larger cells (--cell), a --region "
             "or a smaller --far need less",
             (all - m->program) / 1e6, available / 1e6);
+    if (cells * around > TD_ELEVATION_MAX_CELLS)
+        td_log_write(work->how->log, TD_LOG_WARNING, "reconstruct",
+                     "the map may come to %.0f million cells, a file holds %d million: take larger cells "
+                     "(--cell), a --region or a smaller --far",
+                     cells * around / 1e6, TD_ELEVATION_MAX_CELLS / 1000000);
 }
 
 /* ---- skew ---- */
