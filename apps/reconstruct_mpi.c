@@ -39,6 +39,14 @@ typedef struct parcel {
 static int rank, size, neighbours;
 static parcel sending[UNDER_WAY];
 
+/* The rank that measures a frame. Fusing takes a tenth of the time that measuring takes: from four ranks on
+ * all goes faster when rank 0 does nothing else. */
+static int owner_of(size_t index)
+{
+    const size_t many = (size_t)size;
+    return (int)(many < 4 ? index % many : 1 + index % (many - 1));
+}
+
 static void wait_a_moment(void)
 {
     const struct timespec moment = {0, 500000};
@@ -155,7 +163,7 @@ static td_status receive_view(reconstruct_view *view, const letter *l, int from,
 
 td_status team_measure(reconstruct_view *view, reconstruct_job *work, size_t index, td_error *error)
 {
-    const int from = (int)(index % (size_t)size);
+    const int from = owner_of(index);
     reconstruct_frame *f = &work->frame[index];
     letter l;
     if (from == 0) return reconstruct_measure(view, work, index, error);
@@ -285,7 +293,7 @@ td_status team_serve(reconstruct_job *work, size_t first, td_error *error)
     td_status status = TD_OK;
     work->how->dense.progress = &moving;
     for (size_t i = first; i < work->count && status == TD_OK && !is_dismissed(); i++) {
-        if (i % (size_t)size != (size_t)rank) continue;
+        if (owner_of(i) != rank) continue;
         reconstruct_view view = {0};
         status = reconstruct_measure(&view, work, i, error);
         send_frame(&work->frame[i], i, &view, status, error);

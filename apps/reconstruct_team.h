@@ -1,6 +1,6 @@
 /* The processes that make one map: this one alone (reconstruct_alone.c), or the ranks of MPI
  * (reconstruct_mpi.c, the program reconstruct-mpi). Rank 0 owns the map, the folder of products and the
- * terminal. Frame i is measured by rank i modulo their number; what it says is sent to rank 0, which fuses in
+ * terminal. The ranks take turns at measuring the frames; what they find is sent to rank 0, which fuses in
  * the order of the frames, so that the bytes do not depend on how many they are. */
 #ifndef TELEDIMOS_APPS_RECONSTRUCT_TEAM_H
 #define TELEDIMOS_APPS_RECONSTRUCT_TEAM_H

@@ -9,8 +9,8 @@
 #include "recon/tin_internal.h"
 
 enum {
-    AXIS_BITS = 16, /* of the curve along each axis: with a point a thousand times as far off as the others
-                       are from each other these still lie in thousands of squares */
+    AXIS_BITS = 16, /* of the curve along each axis */
+    SAMPLE = 1024,  /* points by which an axis is shared out */
     ROUND_BITS = 4,
     DIGIT_BITS = 12,
     DIGITS = 3, /* of a key: 2 * 16 + 4 = 3 * 12 bits */
@@ -41,33 +41,61 @@ static uint64_t along_curve(uint32_t x, uint32_t y)
     return place;
 }
 
+static uint32_t scrambled(uint32_t h)
+{
+    h = (h ^ h >> 16) * 0x85ebca6bu;
+    h = (h ^ h >> 13) * 0xc2b2ae35u;
+    return h ^ h >> 16;
+}
+
 /* 0 for one point in 4^15, 15 for three in four: by the number of trailing zeros of a scrambled index. */
 static uint64_t round_of(uint32_t index)
 {
-    uint32_t h = index + 1;
-    h = (h ^ h >> 16) * 0x85ebca6bu;
-    h = (h ^ h >> 13) * 0xc2b2ae35u;
-    h ^= h >> 16;
+    uint32_t h = scrambled(index + 1);
     uint64_t round = (1 << ROUND_BITS) - 1;
     for (; round > 0 && (h & 3) == 0; h >>= 2) round--;
     return round;
 }
 
-static void make_keys(keyed *key, const double (*xyz)[3], const uint32_t *index, size_t n)
+static int by_value(const void *a, const void *b)
 {
-    double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
-    for (size_t i = 0; i < n; i++)
-        for (int k = 0; k < 2; k++) {
-            const double u = xyz[index[i]][k];
-            if (u < low[k]) low[k] = u;
-            if (u > high[k]) high[k] = u;
-        }
-    const double side = fmax(high[0] - low[0], high[1] - low[1]);
-    const double scale = side > 0 && isfinite(side) ? ((1 << AXIS_BITS) - 1) / side : 0;
+    const double p = *(const double *)a, q = *(const double *)b;
+    return (p > q) - (p < q);
+}
+
+/* An axis shared out so that each part holds about as many points: neither a point far off nor clusters far
+ * from each other leave many in one square of the curve. */
+typedef struct axis {
+    double knot[SAMPLE], scale[SAMPLE]; /* from a knot on, places of the curve per unit */
+} axis;
+
+static void share_out(axis *a, const double (*xyz)[3], const uint32_t *index, size_t n, int k)
+{
+    const double part = (double)(1 << AXIS_BITS) / SAMPLE;
+    for (uint32_t i = 0; i < SAMPLE; i++) a->knot[i] = xyz[index[scrambled(i) % n]][k];
+    qsort(a->knot, SAMPLE, sizeof *a->knot, by_value);
+    for (int i = 0; i < SAMPLE; i++) {
+        const double next = i + 1 < SAMPLE ? a->knot[i + 1] : a->knot[i];
+        a->scale[i] = next > a->knot[i] ? part / (next - a->knot[i]) : 0;
+    }
+}
+
+static uint32_t place_on(const axis *a, double u)
+{
+    int low = 0;
+    for (int step = SAMPLE / 2; step > 0; step /= 2) low += a->knot[low + step] <= u ? step : 0;
+    const double beyond = (u - a->knot[low]) * a->scale[low];
+    const double part = (double)(1 << AXIS_BITS) / SAMPLE;
+    return (uint32_t)(low * part + fmin(fmax(beyond, 0), part - 1));
+}
+
+static void make_keys(keyed *key, axis *axes, const double (*xyz)[3], const uint32_t *index, size_t n)
+{
+    for (int k = 0; k < 2; k++) share_out(&axes[k], xyz, index, n, k);
     for (size_t i = 0; i < n; i++) {
-        const uint32_t x = (uint32_t)((xyz[index[i]][0] - low[0]) * scale);
-        const uint32_t y = (uint32_t)((xyz[index[i]][1] - low[1]) * scale);
-        key[i].key = round_of((uint32_t)i) << 2 * AXIS_BITS | along_curve(x, y);
+        const double *p = xyz[index[i]];
+        key[i].key = round_of((uint32_t)i) << 2 * AXIS_BITS |
+                     along_curve(place_on(&axes[0], p[0]), place_on(&axes[1], p[1]));
         key[i].index = index[i];
     }
 }
@@ -99,9 +127,10 @@ bool td_tin_order(double (*xy)[2], uint32_t *index, const double (*xyz)[3], size
 {
     keyed *key = malloc(2 * (n + 1) * sizeof *key);
     size_t(*bucket)[BUCKETS] = malloc(DIGITS * sizeof *bucket);
-    const bool fine = key && bucket;
+    axis *axes = malloc(2 * sizeof *axes);
+    const bool fine = key && bucket && axes && n > 0;
     if (fine) {
-        make_keys(key, xyz, index, n);
+        make_keys(key, axes, xyz, index, n);
         const keyed *sorted = sort_keys(key, key + n, n, bucket);
         for (size_t i = 0; i < n; i++) {
             index[i] = sorted[i].index;
@@ -110,5 +139,6 @@ bool td_tin_order(double (*xy)[2], uint32_t *index, const double (*xyz)[3], size
     }
     free(key);
     free(bucket);
+    free(axes);
     return fine;
 }

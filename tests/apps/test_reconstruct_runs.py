@@ -194,7 +194,7 @@ def test_ranks():
     if not shutil.which("mpirun"):
         skip("mpirun is not installed")
         return
-    for count in (2, 3):
+    for count in (2, 4):
         child = begin(f"{work}/ranks{count}", *ranks(count))
         out, err = child.communicate(timeout=300)
         check(child.returncode == 0 and same(f"{work}/ranks{count}") and json.loads(out)["frames"]["used"] == COUNT,
