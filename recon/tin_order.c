@@ -9,11 +9,11 @@
 #include "recon/tin_internal.h"
 
 enum {
-    AXIS_BITS = 16, /* of the curve along each axis */
+    AXIS_BITS = 12, /* of the curve along each axis: 16 million squares */
     SAMPLE = 1024,  /* points by which an axis is shared out */
     ROUND_BITS = 4,
-    DIGIT_BITS = 12,
-    DIGITS = 3, /* of a key: 2 * 16 + 4 = 3 * 12 bits */
+    DIGIT_BITS = 10,
+    DIGITS = 3, /* of a key: 2 * 12 + 4 bits are less than 3 * 10 */
     BUCKETS = 1 << DIGIT_BITS
 };
 
