@@ -3,6 +3,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "apps/reconstruct_internal.h"
 #include "core/cloud.h"
@@ -33,8 +34,9 @@ td_status reconstruct_photo_add(reconstruct_job *work, const reconstruct_frame *
 {
     td_image *raw = NULL, *left = NULL;
     td_error why = {0};
+    double time_s;
     if (!work->mosaic || f->tally.cells == 0) return TD_OK;
-    td_status status = td_image_read(&raw, f->image[0], 3, &why);
+    td_status status = reconstruct_image_read(&raw, &time_s, &work->coloured, f->image[0], 3, &why);
     if (status == TD_OK)
         status = td_depth_camera_rectify(&left, NULL, work->depth, raw, NULL, work->how->dense.threads, &why);
     if (status == TD_OK) status = td_mosaic_add(work->mosaic, work->fusion, frame, left, &why);
@@ -48,28 +50,28 @@ td_status reconstruct_photo_add(reconstruct_job *work, const reconstruct_frame *
     return TD_OK;
 }
 
-static char *photo_path(const reconstruct_job *work, size_t frames)
+static char *photo_path(const reconstruct_job *work, int slot)
 {
     char name[40];
-    snprintf(name, sizeof name, "state/photo-%zu.bin", frames % 2);
+    snprintf(name, sizeof name, "state/photo-%d.bin", slot);
     return td_path_join(work->how->output, name);
 }
 
-td_status reconstruct_photo_save(const reconstruct_job *work, size_t frames, td_error *error)
+td_status reconstruct_photo_save(const reconstruct_job *work, int slot, size_t frames, td_error *error)
 {
     if (!work->mosaic) return TD_OK;
-    char *path = photo_path(work, frames);
+    char *path = photo_path(work, slot);
     td_status status = path ? td_mosaic_save(work->mosaic, frames, path, error)
                             : td_fail(error, TD_ERROR_MEMORY, "out of memory");
     free(path);
     return status;
 }
 
-td_status reconstruct_photo_load(reconstruct_job *work, size_t frames, td_error *error)
+td_status reconstruct_photo_load(reconstruct_job *work, int slot, size_t frames, td_error *error)
 {
     const td_mosaic_options o = photo_options(work);
     if (!work->how->texels) return TD_OK;
-    char *path = photo_path(work, frames);
+    char *path = photo_path(work, slot);
     td_status status = path ? td_mosaic_load(&work->mosaic, &o, frames, path, error)
                             : td_fail(error, TD_ERROR_MEMORY, "out of memory");
     free(path);
@@ -267,9 +269,20 @@ static td_status write_mesh(reconstruct_job *work, job *j)
 
 /* ---- all ---- */
 
+/* result.yaml comes last and goes first: a folder that has one holds the products that it tells of. */
+static td_status forget_result(job *j)
+{
+    char *result = job_path(j, "result.yaml");
+    if (result) unlink(result);
+    td_status status = result ? TD_OK : TD_ERROR_MEMORY;
+    free(result);
+    return status;
+}
+
 td_status reconstruct_products(reconstruct_job *work, job *j)
 {
     TD_TRY(set_crs(work, &j->error));
+    TD_TRY(forget_result(j));
     if (work->mosaic) TD_TRY(td_mosaic_photo(&work->photo, work->mosaic, work->map, &j->error));
     char *map = job_path(j, "map.tif"), *photo = job_path(j, "orthophoto.tif");
     td_status status = map && photo ? td_elevation_write(work->map, map, &j->error) : TD_ERROR_MEMORY;

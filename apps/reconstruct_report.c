@@ -244,18 +244,38 @@ static void map_pictures(td_report *r, const reconstruct_job *work)
     sigma_histogram(r, map);
 }
 
+/* Of the frame that is shown, read again: it may have been measured elsewhere. NULL: it cannot be read. */
+static td_image *right_image(const reconstruct_job *work)
+{
+    td_image *raw[2] = {NULL, NULL}, *left = NULL, *right = NULL;
+    reconstruct_video video = {0};
+    double time_s;
+    for (int side = 0; side < 2; side++)
+        if (reconstruct_image_read(&raw[side], &time_s, &video, work->shown_frame->image[side], 1, NULL) !=
+            TD_OK)
+            break;
+    if (raw[1])
+        td_depth_camera_rectify(&left, &right, work->depth, raw[0], raw[1], work->how->dense.threads, NULL);
+    reconstruct_video_free(&video);
+    td_image_free(&raw[0]);
+    td_image_free(&raw[1]);
+    td_image_free(&left);
+    return right;
+}
+
 static void pair_pictures(td_report *r, const reconstruct_job *work)
 {
     char heading[TD_NAME_SIZE + 40];
     if (!work->shown_left) return;
+    td_image *right = right_image(work);
     snprintf(heading, sizeof heading, "The pair of frame %s", work->shown_frame->name);
     td_report_heading(r, heading);
-    td_report_grid_begin(r, work->shown_right ? 3 : 2);
+    td_report_grid_begin(r, right ? 3 : 2);
     td_report_picture(r, work->shown_left, HALF_PX, "left image, rectified", NULL, 0);
-    if (work->shown_right)
-        td_report_picture(r, work->shown_right, HALF_PX, "right image, rectified", NULL, 0);
+    if (right) td_report_picture(r, right, HALF_PX, "right image, rectified", NULL, 0);
     if (work->shown) disparity_picture(r, work->shown);
     td_report_grid_end(r);
+    td_image_free(&right);
 }
 
 static void file_table(td_report *r, const reconstruct_job *work)

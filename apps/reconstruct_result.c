@@ -14,8 +14,12 @@ const gate_row reconstruct_gate_defaults[] = {
      "moved since they were calibrated, and heights with them"},
     {"failed_share", 0, 0,
      "frames that could not be used, over frames: a map without them may lack a part of the site"},
+    {"skew_px", 0.1, 0.5,
+     "pixels that what is nearest moves between the two cameras' times, by the motion of the base from frame "
+     "to frame, worst frame: as much is wrong in disparity"},
     {"skew_s", 0.001, 0.005,
-     "difference of the two cameras' times, worst frame: at 0.5 m/s, 5 ms are 2.5 mm"},
+     "the same where times or poses do not tell the motion: difference of the times; at 0.5 m/s, 5 ms are "
+     "2.5 mm"},
     {"sigma_m", 0.05, 0.2, "median standard deviation of the heights"},
 };
 const size_t reconstruct_gate_count = sizeof reconstruct_gate_defaults / sizeof *reconstruct_gate_defaults;
@@ -125,20 +129,29 @@ static void judge_frames(reconstruct_job *work, const gate_row *rows)
 {
     gate_result *g = &work->gate;
     size_t failed = count_failed(work);
-    double skew = 0;
+    double skew_s = 0, skew_px = 0;
     const reconstruct_frame *first = NULL;
     for (size_t i = 0; i < work->count; i++) {
-        skew = fmax(skew, fabs(work->frame[i].skew_s));
-        if (work->frame[i].failed && !first) first = &work->frame[i];
+        const reconstruct_frame *f = &work->frame[i];
+        if (isnan(f->skew_px))
+            skew_s = fmax(skew_s, fabs(f->skew_s));
+        else
+            skew_px = fmax(skew_px, f->skew_px);
+        if (f->failed && !first) first = f;
     }
     if (failed)
         gate_check(g, rows, reconstruct_gate_count, "failed_share", (double)failed / (double)work->count,
                    "%zu of %zu frames could not be used; the first, %s: %s", failed, work->count, first->name,
                    first->reason);
-    if (skew > 0)
-        gate_check(g, rows, reconstruct_gate_count, "skew_s", skew,
+    if (skew_px > 0)
+        gate_check(g, rows, reconstruct_gate_count, "skew_px", skew_px,
+                   "the two cameras' times differ so much that the nearest ground moves by up to %.2f px in "
+                   "between: trigger both together, or stand still",
+                   skew_px);
+    if (skew_s > 0)
+        gate_check(g, rows, reconstruct_gate_count, "skew_s", skew_s,
                    "the two cameras' times differ by up to %.1f ms: what moved in between is wrong in depth",
-                   1e3 * skew);
+                   1e3 * skew_s);
 }
 
 void reconstruct_judge(reconstruct_job *work, const gate_row *rows)
@@ -253,7 +266,7 @@ void reconstruct_table(const void *found)
     if (isfinite(m.median_sigma)) printf(", median sigma %.1f mm", 1e3 * m.median_sigma);
     if (isfinite(reconstruct_rms(work)))
         printf(";\npoints lie %.1f mm (RMS) from it", 1e3 * reconstruct_rms(work));
-    if (work->resumed) printf("\n%zu frames were taken over from an earlier run", work->resumed);
-    printf("\n\nverdict: %s\n", verdict_name(work->gate.verdict));
+    reconstruct_summary(work);
+    printf("\nverdict: %s\n", verdict_name(work->gate.verdict));
     for (size_t i = 0; i < work->gate.count; i++) printf("  - %s\n", work->gate.reason[i]);
 }

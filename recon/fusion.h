@@ -91,6 +91,9 @@ TD_API size_t td_fusion_memory(const td_fusion *fusion); /* bytes of tiles in me
  * the folder. */
 TD_API double td_fusion_memory_of(double width_m, double length_m, double cell_m);
 
+/* Bytes that td_fusion_add needs at most besides, for a frame of this size. */
+TD_API size_t td_fusion_frame_memory(int width, int height);
+
 /* The whole state, to go on from after a kill: one file, whole or not at all. Loading refuses a damaged file,
  * and one made with other options, naming the first that differs (memory, folder and threads may). */
 TD_API td_status td_fusion_save(const td_fusion *fusion, const char *path, td_error *error);
