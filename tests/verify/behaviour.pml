@@ -87,7 +87,12 @@ c_code {
                                      .task = now.task, .machine_task = now.machine_task};
     }
 
-    static void forget(void) { now.a = now.b = now.c = now.task = now.machine_task = now.user_stop = now.links = now.parameters = 0; }
+    /* What was chosen is no part of the state. */
+    static void forget(void)
+    {
+        now.a = now.b = now.c = now.task = now.machine_task = 0;
+        now.user_stop = now.links = now.parameters = 0;
+    }
 
 #ifdef LTL
     static int accepts(const td_behaviour_outputs *out, td_event event)

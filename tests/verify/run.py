@@ -1,7 +1,8 @@
 """The behaviour, proved on the function that ships.
 
-Proves: SPIN calls sim/behaviour.c with every sequence of inputs (behaviour.pml says which; TELEDIMOS_FULL=1: more) and finds no reaction that breaks a property of properties.h, and no sequence that breaks a
-temporal claim of behaviour.pml. The search is exhaustive: states are stored whole, its depth is not cut off.
+Proves: SPIN calls sim/behaviour.c with every sequence of inputs (behaviour.pml says which; TELEDIMOS_FULL=1: more) and
+finds no reaction that breaks a property of properties.h, and no sequence that breaks a temporal claim of behaviour.pml.
+The search is exhaustive: states are stored whole, its depth is not cut off.
 Each property can fail: mutants/*.sed are small mistakes in the code, each caught by the property that its name gives.
 The C test of the behaviour takes every branch of the code, by gcov.
 Blind to: tasks of more than two identities, and options beyond the eight of verify_begin; what the caller makes of the
@@ -32,7 +33,7 @@ def check(condition, text):
 
 def call(command, folder, **environment):
     done = subprocess.run(command, cwd=folder, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                          env={**os.environ, **environment}, timeout=1800)
+                          env={**os.environ, **environment}, timeout=1800 if FULL else 300)
     return done.returncode, done.stdout
 
 
@@ -71,21 +72,16 @@ def search(folder, behaviour, claim=None, **environment):
     return text, int(errors.group(1)), cut, figures
 
 
-def prove(properties):
-    behaviour = os.path.join(WORK, "behaviour.o")
-    folder = os.path.join(WORK, "proof")
-    text, errors, cut, figures = search(folder, behaviour)
-    check(errors == 0 and not cut, f"{len(properties)} properties hold in every reaction: {figures['states, stored']} "
-          f"states, {figures['transitions']} reactions, all of them searched")
+def prove(claim):
+    """Lines for the properties (claim None), or for one temporal claim, on the code as it is."""
+    folder = os.path.join(WORK, f"proof_{claim}" if claim else "proof")
+    text, errors, cut, figures = search(folder, os.path.join(WORK, "behaviour.o"), claim)
     if errors:
-        print(call(["./pan", "-r"], folder, VERIFY_PRINT="1")[1])
-    for claim in CLAIMS:
-        folder = os.path.join(WORK, "proof_" + claim)
-        text, errors, cut, figures = search(folder, behaviour, claim)
-        check(errors == 0 and not cut, f"temporal claim '{claim}' holds: {figures['states, stored']} states, "
-              f"{figures['transitions']} transitions, all of them searched")
-        if errors:
-            print(text)
+        replay = ["./pan", "-r"] + (["-N", claim] if claim else [])
+        print(call(replay, folder, VERIFY_PRINT="1")[1])
+    what = f"temporal claim '{claim}' holds in every sequence" if claim else "every property holds in every reaction"
+    return (errors == 0 and not cut, f"{what}: {figures['states, stored']} states, {figures['transitions']} "
+            "transitions, all of them searched")
 
 
 def mutant(name):
@@ -99,7 +95,7 @@ def mutant(name):
             return False, f"mutant {name} does not apply"
     with open(os.path.join(folder, "behaviour.c"), "w") as f:
         f.write(code)
-    compile_c("behaviour.c", "behaviour.o", folder, "-w")
+    compile_c("behaviour.c", "behaviour.o", folder, "-w", "-O1")
     with open(script) as f:
         sentence = f.readline().lstrip("# ").strip()
     behaviour = os.path.join(folder, "behaviour.o")
@@ -112,34 +108,31 @@ def mutant(name):
     return errors > 0 and f"broken: {number} " in text, f"property {number:2} catches: {sentence}"
 
 
-def mutants(properties):
+def mutant_names(properties):
     names = sorted(f[:-4] for f in os.listdir(os.path.join(HERE, "mutants")))
-    for number in range(1, len(properties) + 1):
-        if not any(name.startswith(f"{number:02}-") for name in names):
-            check(False, f"property {number} has a mutant")
-    for claim in CLAIMS:
-        if not any(name.startswith(f"ltl-{claim}-") for name in names):
-            check(False, f"claim {claim} has a mutant")
-    with concurrent.futures.ThreadPoolExecutor(2) as pool:
-        for caught, text in pool.map(mutant, names):
-            check(caught, text)
+    for start in [f"{number:02}-" for number in range(1, properties + 1)] + [f"ltl-{claim}-" for claim in CLAIMS]:
+        if not any(name.startswith(start) for name in names):
+            check(False, f"there is a mutant {start}*")
+    return names
 
 
 def coverage():
+    """A line on tests/sim/test_behaviour.c: what of the code it runs, by gcov."""
     folder = os.path.join(WORK, "coverage")
     os.makedirs(folder)
     compile_c(os.path.join(SOURCE, "sim/behaviour.c"), "behaviour.o", folder, "-O0", "--coverage")
     compile_c(os.path.join(SOURCE, "tests/sim/test_behaviour.c"), "test.o", folder)
     compile_c(os.path.join(SOURCE, "core/random.c"), "random.o", folder)
-    must(["gcc", "--coverage", "behaviour.o", "test.o", "random.o", "../properties.o", "-lcmocka", "-lm", "-o", "test"], folder)
+    must(["gcc", "--coverage", "behaviour.o", "test.o", "random.o", "../properties.o", "-lcmocka", "-lm", "-o", "test"],
+         folder)
     must(["./test"], folder)
     text = must(["gcov", "-b", "behaviour.o"], folder)
     text = text[text.index("sim/behaviour.c'"):]
     shares = [re.search(words + r":([\d.]+)% of (\d+)", text)
               for words in ("Lines executed", "Branches executed", "Taken at least once")]
-    check(all(s and s.group(1) == "100.00" for s in shares),
-          "its C test runs every line and takes every branch: " +
-          ", ".join(f"{s.group(1)} % of {s.group(2)}" for s in shares if s))
+    return (all(s and s.group(1) == "100.00" for s in shares),
+            "the C test runs every line and takes every branch: " +
+            ", ".join(f"{s.group(1)} % of {s.group(2)}" for s in shares if s))
 
 
 def main():
@@ -150,13 +143,19 @@ def main():
     os.makedirs(WORK)
     with open(os.path.join(HERE, "properties.h")) as f:
         properties = re.findall(r"^    X\((\w+),", f.read(), re.M)
-    verifier("reactions", ["-DFULL"] if FULL else [], ["-DSAFETY"])
-    verifier("ltl", ["-DLTL"], [])
-    compile_c(os.path.join(HERE, "properties.c"), "properties.o", WORK)
-    compile_c(os.path.join(SOURCE, "sim/behaviour.c"), "behaviour.o", WORK)
-    prove(properties)
-    mutants(properties)
-    coverage()
+    print(f"{len(properties)} properties of a reaction, {len(CLAIMS)} temporal claims", flush=True)
+    with concurrent.futures.ThreadPoolExecutor(2) as pool:
+        parts = [pool.submit(verifier, "reactions", ["-DFULL"] if FULL else [], ["-DSAFETY"]),
+                 pool.submit(verifier, "ltl", ["-DLTL"], []),
+                 pool.submit(compile_c, os.path.join(HERE, "properties.c"), "properties.o", WORK),
+                 pool.submit(compile_c, os.path.join(SOURCE, "sim/behaviour.c"), "behaviour.o", WORK)]
+        for part in parts:
+            part.result()
+        lines = [pool.submit(prove, claim) for claim in [None, *CLAIMS]]
+        lines += [pool.submit(mutant, name) for name in mutant_names(len(properties))]
+        lines += [pool.submit(coverage)]
+        for line in lines:
+            check(*line.result())
     return 1 if failures else 0
 
 
