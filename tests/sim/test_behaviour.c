@@ -430,7 +430,7 @@ static void properties_hold_for_any_sets(void **state)
     td_random random = td_random_seed(1, 0);
     uint32_t met[TD_PHASE_COUNT] = {0}, messages = 0;
     bool answers[TD_ANSWER_COUNT] = {false}, faults[TD_FAULT_COUNT] = {false};
-    for (int sequence = 0; sequence < 8000; sequence++) {
+    for (int sequence = 0; sequence < 4000; sequence++) {
         td_behaviour s;
         verify_history history;
         verify_begin(&s, &history, sequence % VERIFY_OPTIONS);

@@ -339,7 +339,7 @@ static void print_reaction(const seen *a, uint32_t broken)
 void verify_begin(td_behaviour *state, verify_history *history, int options)
 {
     const td_behaviour_options o = {.singularity = options & 1 ? TD_SINGULARITY_FAIL : TD_SINGULARITY_CROSS,
-                                    .deadlines_forgiven = options & 2 ? 2 : 0,
+                                    .deadlines_forgiven = options & 2 ? 1 : 0,
                                     .has_machine = options & 4 ? 1 : 0};
     td_behaviour_begin(state, &o);
     *history = (verify_history){0};
