@@ -1,0 +1,2 @@
+# Pausing twice goes on.
+s/(\[TD_EVENT_PAUSE\] = )TD_PHASE_SIMULATION_PAUSED,/\1TD_PHASE_SIMULATING,/

@@ -1,0 +1,2 @@
+# Pausing twice goes on.
+s/(\[TD_EVENT_PAUSE\] = )TD_PHASE_EXECUTION_PAUSED,/\1TD_PHASE_EXECUTING,/
