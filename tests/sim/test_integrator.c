@@ -1,4 +1,4 @@
-/* Proves: the end of each standard problem within 10 tolerances, at 1e-6 and 1e-8; exact solutions of
+/* Proves: the end of each standard problem within 10 tolerances, at 1e-4, 1e-6 and 1e-8; exact solutions of
  * linear ones; events at their exact times, in order, also two in a step; switching to BDF and back as the
  * stiffness comes and goes; the same bits however the time is cut into pieces; what cannot be integrated is
  * refused, naming where. Reference: closed forms, and the solutions published with the test set (Mazzia and
@@ -31,8 +31,8 @@ static void solve(double *end, td_integrator_counters *count, const problem *p, 
 
 static void check_end(const problem *p, const double *truth)
 {
-    static const double relative[2] = {1e-6, 1e-8};
-    for (int k = 0; k < 2; k++)
+    static const double relative[3] = {1e-4, 1e-6, 1e-8};
+    for (int k = 0; k < 3; k++)
         for (int m = 0; m < 3; m += 2) {
             double end[8];
             td_integrator_counters c;
@@ -43,7 +43,7 @@ static void check_end(const problem *p, const double *truth)
             printf("%-12s %g, tolerance %g, %s: error %.2f tolerances, %ld rates, %ld Jacobians, %ld steps\n",
                    p->name, p->parameter, relative[k], m ? "BDF" : "auto", most, c.rates, c.jacobians,
                    c.steps);
-            if (m == 0) check_less(most, 10);
+            check_less(most, 10);
         }
 }
 
