@@ -81,10 +81,11 @@ static void test_robertson(void **state)
 typedef struct stiffness {
     double begin, end, rate;
 } stiffness;
+/* Where it is easy, the steps that accuracy allows lie far within the reach of Adams' stability. */
 static bool tracking_rate(double *d, double t, const double *y, void *user)
 {
     const stiffness *s = user;
-    double k = t > s->begin && t < s->end ? s->rate : 1;
+    double k = t > s->begin && t < s->end ? s->rate : 0.1;
     d[0] = -k * (y[0] - cos(t)) - sin(t);
     return true;
 }
@@ -104,13 +105,13 @@ static void test_switches(void **state)
     assert_int_equal(td_integrator_count(g).method, TD_INTEGRATOR_ADAMS);
     check_ok(td_integrator_advance(g, 30, &event, NULL, &error), error);
     assert_int_equal(td_integrator_count(g).method, TD_INTEGRATOR_BDF);
-    check_ok(td_integrator_advance(g, 80, &event, NULL, &error), error);
+    check_ok(td_integrator_advance(g, 150, &event, NULL, &error), error);
     assert_int_equal(td_integrator_count(g).method, TD_INTEGRATOR_ADAMS);
     td_integrator_counters c = td_integrator_count(g);
     assert_int_equal(c.to_bdf, 1);
     assert_int_equal(c.to_adams, 1);
-    assert_true(c.time_in_bdf_s > 25 && c.time_in_bdf_s < 55);
-    check_near(td_integrator_state(g)[0], cos(80), 1e-5);
+    assert_true(c.time_in_bdf_s > 25 && c.time_in_bdf_s < 90);
+    check_near(td_integrator_state(g)[0], cos(150), 1e-5);
     td_integrator_free(&g);
 }
 
