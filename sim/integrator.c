@@ -43,10 +43,12 @@ static double local_share(double relative)
     return 0.8 * pow(relative, 0.2);
 }
 
-/* Steps that the Jacobian is kept for; the matrix is made anew from it where h has changed by 2 %. Old ones
- * cost more than calls of the rate: what the corrector leaves over disturbs the estimate of the error, and
- * steps get shorter (Robertson: 920 steps with CVODE's own 51, 650 with this). */
-enum { JACOBIAN_STEPS = 4 };
+/* Steps that the Jacobian is kept for: twice as long where it has changed Newton's matrix by less than 1
+ * since the last time (in the norm of the errors), else half as long. Old ones cost more than calls of the
+ * rate: what the corrector leaves over disturbs the estimate of the error, and steps get shorter (Robertson:
+ * 920 steps with CVODE's constant 51, 590 with this). The matrix is made anew from it where h has changed by
+ * 2 %. */
+enum { LEAST_KEPT = 4, MOST_KEPT = 24 };
 static const double MATRIX_CHANGE = 0.02;
 /* A step grows where it could by this, not only by CVODE's 1.5: with the matrix at hand that costs nothing.
  */
@@ -64,6 +66,11 @@ struct td_integrator {
     SUNMatrix matrix;
     SUNLinearSolver linear;
     SUNNonlinearSolver fixed_point, newton;
+    long jacobian_step; /* steps until it was made; -1: never */
+    int again;          /* times that the matrix was made anew in this step */
+    long matrix_step;   /* steps until the matrix was made */
+    long kept;          /* steps that the Jacobian is kept for */
+    double jacobian_change;
     double *jacobian;   /* (n,n) column-major, the last */
     double contraction; /* of Newton's iterations, when last seen */
     double last_change; /* of the iteration before, weighted */
@@ -169,39 +176,61 @@ static bool differences(td_integrator *g, double *j, double t, double *y, const 
     return true;
 }
 
-/* Into g->jacobian, and its norm. */
+/* Into g->jacobian, its norm and how far it is from the last. */
 static bool make_jacobian(td_integrator *g, double t, double *y, const double *dy, double *changed)
 {
     size_t n = g->ode.size;
     const double *w = N_VGetArrayPointer(g->weight);
-    double norm = 0, *j = calloc(n * n, sizeof *j);
+    double norm = 0, change = 0, *j = calloc(n * n, sizeof *j);
     if (!j) return false;
     g->count.jacobians++;
     bool ok =
         g->ode.jacobian ? g->ode.jacobian(j, t, y, dy, g->ode.user) : differences(g, j, t, y, dy, changed);
     for (size_t i = 0; ok && i < n; i++) {
-        double sum = 0; /* of row i, in the norm in which errors are weighed */
+        double sum = 0, off = 0; /* of row i, in the norm in which errors are weighed */
         for (size_t k = 0; k < n; k++) {
-            g->jacobian[k * n + i] = j[i * n + k];
-            sum += fabs(j[i * n + k]) / w[k];
+            const double one = j[i * n + k];
+            sum += fabs(one) / w[k];
+            off += fabs(one - g->jacobian[k * n + i]) / w[k];
+            g->jacobian[k * n + i] = one;
         }
         norm = fmax(norm, sum * w[i]);
+        change = fmax(change, off * w[i]);
     }
     free(j);
     g->lipschitz = norm;
+    g->jacobian_change = change;
     return ok && isfinite(norm);
 }
 
-/* Newton's matrix I - gamma J. */
+static void choose_kept(td_integrator *g, double gamma)
+{
+    if (fabs(gamma) * g->jacobian_change < 1)
+        g->kept = g->kept < MOST_KEPT / 2 ? 2 * g->kept : MOST_KEPT;
+    else
+        g->kept = g->kept / 2 > LEAST_KEPT ? g->kept / 2 : LEAST_KEPT;
+}
+
+/* Newton's matrix I - gamma J. J stays while it is young, after a start from a new state too. Where CVODE
+ * asks a second time in a step, the corrector or the step's error has failed with it, and it is not trusted;
+ * a third time, nor is what is remembered of the contraction. */
 static int newton_matrix(realtype t, N_Vector y, N_Vector dy, SUNMatrix matrix, booleantype keep,
                          booleantype *made, realtype gamma, void *user, N_Vector t1, N_Vector t2, N_Vector t3)
 {
     td_integrator *g = user;
-    size_t n = g->ode.size;
+    const size_t n = g->ode.size;
+    const bool again = g->matrix_step == g->count.steps, first = g->jacobian_step < 0;
     (void)t2, (void)t3;
-    *made = !keep;
-    if (!keep && !make_jacobian(g, t, N_VGetArrayPointer(y), N_VGetArrayPointer(dy), N_VGetArrayPointer(t1)))
-        return 1;
+    g->matrix_step = g->count.steps;
+    *made = first || again || (!keep && g->count.steps - g->jacobian_step >= g->kept);
+    g->again = again ? g->again + 1 : 0;
+    if (g->again > 1) g->contraction = 1;
+    if (*made) {
+        if (!make_jacobian(g, t, N_VGetArrayPointer(y), N_VGetArrayPointer(dy), N_VGetArrayPointer(t1)))
+            return 1;
+        if (!first && !again) choose_kept(g, gamma);
+        g->jacobian_step = g->count.steps;
+    }
     double *const a = SM_DATA_D(matrix);
     for (size_t i = 0; i < n * n; i++) a[i] = -gamma * g->jacobian[i];
     for (size_t i = 0; i < n; i++) a[i * (n + 1)] += 1;
@@ -308,8 +337,8 @@ static bool make_bdf(td_integrator *g, void *memory)
            SUNNonlinSolSetConvTestFn(g->newton, newton_converged, g) == SUN_NLS_SUCCESS &&
            CVodeSetLinearSolver(memory, g->linear, g->matrix) == CV_SUCCESS &&
            CVodeSetLinSysFn(memory, newton_matrix) == CV_SUCCESS &&
-           CVodeSetJacEvalFrequency(memory, JACOBIAN_STEPS) == CV_SUCCESS &&
-           CVodeSetLSetupFrequency(memory, JACOBIAN_STEPS) == CV_SUCCESS &&
+           CVodeSetJacEvalFrequency(memory, LEAST_KEPT) == CV_SUCCESS &&
+           CVodeSetLSetupFrequency(memory, LEAST_KEPT) == CV_SUCCESS &&
            CVodeSetDeltaGammaMaxLSetup(memory, MATRIX_CHANGE) == CV_SUCCESS;
 }
 
@@ -369,6 +398,9 @@ td_status td_integrator_new(td_integrator **integrator, const td_ode *ode, doubl
         .relative = fmax(local_share(o.relative) * o.relative, 10 * DBL_EPSILON * sqrt((double)ode->size)),
         .root_size = sqrt((double)ode->size),
         .contraction = 1,
+        .jacobian_step = -1,
+        .matrix_step = -1,
+        .kept = LEAST_KEPT,
         .max_step_s = o.max_step_s,
         .first_step_s = o.first_step_s,
         .max_steps = o.max_steps,
@@ -559,6 +591,15 @@ static void note_event(td_integrator *g, double t)
     g->count.events++;
 }
 
+/* The steps behind do not fit what comes: the equations have jumped, or they were Adams' and it cannot. */
+static td_status recover(td_integrator *g, double t, td_error *error)
+{
+    g->reached = t;
+    g->jacobian_step = -1;
+    if (g->method == TD_INTEGRATOR_AUTO && g->now == ADAMS) return change_method(g, error);
+    return begin(g, g->now, t, g->step_end, 0, error);
+}
+
 /* One internal step of CVODE, or the next event in the last one. */
 static td_status step(td_integrator *g, td_error *error)
 {
@@ -576,10 +617,9 @@ static td_status step(td_integrator *g, td_error *error)
         note_event(g, t);
     } else if (flag == CV_SUCCESS) {
         g->unchecked = false;
-    } else if (g->method == TD_INTEGRATOR_AUTO && g->now == ADAMS &&
-               (flag == CV_CONV_FAILURE || flag == CV_ERR_FAILURE)) {
-        g->reached = t;
-        return change_method(g, error);
+    } else if ((flag == CV_CONV_FAILURE || flag == CV_ERR_FAILURE) &&
+               (after > 0 || (g->method == TD_INTEGRATOR_AUTO && g->now == ADAMS))) {
+        return recover(g, t, error);
     } else {
         return give_up(g, error);
     }
