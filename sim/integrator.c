@@ -48,7 +48,7 @@ static double local_share(double relative)
  * rate: what the corrector leaves over disturbs the estimate of the error, and steps get shorter (Robertson:
  * 920 steps with CVODE's constant 51, 590 with this). The matrix is made anew from it where h has changed by
  * 2 %. */
-enum { LEAST_KEPT = 4, MOST_KEPT = 24 };
+enum { LEAST_KEPT = 4, MOST_KEPT = 12 };
 static const double MATRIX_CHANGE = 0.02;
 /* A step grows where it could by this, not only by CVODE's 1.5: with the matrix at hand that costs nothing.
  */
@@ -205,7 +205,7 @@ static bool make_jacobian(td_integrator *g, double t, double *y, const double *d
 
 static void choose_kept(td_integrator *g, double gamma)
 {
-    if (fabs(gamma) * g->jacobian_change < 1)
+    if (fabs(gamma) * g->jacobian_change < 0.3)
         g->kept = g->kept < MOST_KEPT / 2 ? 2 * g->kept : MOST_KEPT;
     else
         g->kept = g->kept / 2 > LEAST_KEPT ? g->kept / 2 : LEAST_KEPT;
