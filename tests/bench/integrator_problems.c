@@ -52,7 +52,7 @@ bool bench_problem_make(bench_problem *p, int index, td_error *error)
         "van der Pol 1", "van der Pol 10", "van der Pol 100", "van der Pol 1e3", "van der Pol 1e4",
         "Robertson",     "HIRES",          "Oregonator",      "machine 1e6",     "machine 1e7",
         "machine 1e8",   "machine 1e9",    "machine 1e10"};
-    *p = (bench_problem){.name = names[index], .stiff = index >= 2};
+    *p = (bench_problem){.name = names[index]};
     if (index >= 8) return make_machine(p, pow(10, index - 2), error);
     make_standard(p, index);
     return true;

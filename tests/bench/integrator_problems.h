@@ -9,7 +9,6 @@ enum { BENCH_PROBLEMS = 13, BENCH_PROBLEM_STATES = 32 };
 
 typedef struct bench_problem {
     const char *name;
-    bool stiff; /* else the goal is no more calls than the peer's, on these half as many */
     td_ode ode;
     double y0[BENCH_PROBLEM_STATES], t_end;
     double absolute[BENCH_PROBLEM_STATES]; /* as shares of the relative tolerance */
