@@ -108,7 +108,7 @@ void bench_print(const bench *b, const bench_row *row)
         putchar('\n');
         json_decref(line);
     } else {
-        printf("%-30s %10.4g %-4s", row->name, row->ours, row->unit);
+        printf("%-30s %10.4g %-5s", row->name, row->ours, row->unit);
         if (isfinite(row->peer))
             printf("  %10.4g %-26s ratio %6.2f", row->peer, row->peer_name, ratio);
         else
@@ -150,5 +150,6 @@ int main(int argc, char **argv)
     bench_match(&b);
     bench_tin(&b);
     bench_dynamics(&b);
+    bench_integrator(&b);
     return 0;
 }

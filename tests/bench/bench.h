@@ -10,7 +10,7 @@ extern "C" {
 #endif
 
 typedef struct bench_row {
-    const char *name, *unit; /* unit "s", "ms", "ns", "MB": less is better; "1/s": more is better */
+    const char *name, *unit; /* unit "s", "ms", "ns", "MB", "calls": less is better; "1/s": more is better */
     double ours, peer;       /* medians; NaN: not measured */
     const char *peer_name;
     const char *error_unit;        /* NULL: no accuracy to compare */
@@ -57,6 +57,9 @@ void bench_map(const bench *b);
 void bench_next_view(const bench *b);
 /* bench_render.c */
 void bench_render(const bench *b);
+
+/* bench_integrator.c */
+void bench_integrator(const bench *b);
 
 /* bench_dynamics.c */
 void bench_dynamics(const bench *b);

@@ -1,5 +1,6 @@
 /* Generated dynamics of the zx200, free base and four joints, beside KDL's with the base emulated by six
- * joints: the same states in the same run. Errors are against the recursive evaluation, relative. */
+ * joints, and beside DART's with a free base: the same states in the same run. Errors are against the
+ * recursive evaluation, relative. */
 #include <math.h>
 #include <pthread.h>
 #include <stdio.h>
@@ -14,22 +15,38 @@
 #ifdef TD_BENCH_KDL
 #include "tests/sim/dynamics_kdl.h"
 #endif
+#ifdef TD_BENCH_DART
+#include "tests/bench/dynamics_dart.h"
+#endif
 
 /* Short runs, so that the median is one that nothing interrupted. */
 enum { STATES = 64, RUNS = 499, REPEATS = 4, JOINTS = 4, SIZE = 6 + JOINTS };
 
-enum { INVERSE, FORWARD, MASS, INVERSE_STILL, FORWARD_STILL, THREADS, GENERATION };
+enum {
+    INVERSE,
+    FORWARD,
+    MASS,
+    INVERSE_STILL,
+    FORWARD_STILL,
+    THREADS,
+    GENERATION,
+    INVERSE_DART,
+    FORWARD_DART
+};
 static const char *const NAMES[] = {"dynamics inverse",
                                     "dynamics forward",
                                     "dynamics mass matrix",
                                     "dynamics inverse, no Coriolis",
                                     "dynamics forward, no Coriolis",
                                     "dynamics forward, two threads",
-                                    "dynamics generation"};
+                                    "dynamics generation",
+                                    "dynamics inverse (DART)",
+                                    "dynamics forward (DART)"};
 
 typedef struct one {
     base_state base;
     double q[JOINTS], nu[SIZE], acceleration[SIZE], force[SIZE], gravity[3];
+    double spatial[SIZE]; /* acceleration with nu' of the base in place of its origin's acceleration */
     double peer_q[SIZE], peer_rate[SIZE], peer_change[SIZE], peer_force[SIZE];
 } one;
 
@@ -38,6 +55,9 @@ typedef struct work {
     td_dynamics *made, *plain;
 #ifdef TD_BENCH_KDL
     kdl_dynamics *peer;
+#endif
+#ifdef TD_BENCH_DART
+    dart_dynamics *dart;
 #endif
     bool coriolis;
     one state[STATES];
@@ -63,6 +83,11 @@ static void make_state(one *s, td_random *random, const td_dynamics *plain)
         s->q[k] = s->peer_q[6 + k] = td_random_normal(random);
         s->nu[6 + k] = s->peer_rate[6 + k] = 0.5 * td_random_normal(random);
         s->acceleration[6 + k] = s->peer_change[6 + k] = td_random_normal(random);
+    }
+    memcpy(s->spatial, s->acceleration, sizeof s->spatial);
+    for (int i = 0; i < 3; i++) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+        s->spatial[3 + i] -= s->nu[j] * s->nu[3 + k] - s->nu[k] * s->nu[3 + j];
     }
     td_dynamics_inverse(s->force, plain, s->q, s->nu, s->acceleration, s->gravity, true);
     base_force(s->peer_force, &s->base, s->force);
@@ -132,6 +157,28 @@ static void peer_mass(void *user)
 }
 #endif
 
+#ifdef TD_BENCH_DART
+static void dart_inverse(void *user)
+{
+    work *w = user;
+    double force[SIZE];
+    for (int i = 0; i < STATES; i++) {
+        const one *s = w->state + i;
+        dart_dynamics_inverse(force, w->dart, s->base.rotation, s->q, s->nu, s->spatial);
+    }
+}
+
+static void dart_forward(void *user)
+{
+    work *w = user;
+    double change[SIZE];
+    for (int i = 0; i < STATES; i++) {
+        const one *s = w->state + i;
+        dart_dynamics_forward(change, w->dart, s->base.rotation, s->q, s->nu, s->force);
+    }
+}
+#endif
+
 /* ---- errors ---- */
 
 static double apart(const double *a, const double *b, int count)
@@ -167,6 +214,25 @@ static void judge(const work *w, bool forward, double *ours, double *peers)
     }
 }
 
+static double dart_error(const work *w, bool forward)
+{
+    double most = NAN;
+#ifdef TD_BENCH_DART
+    for (int i = 0; i < STATES; i++) {
+        const one *s = w->state + i;
+        double x[SIZE];
+        if (forward)
+            dart_dynamics_forward(x, w->dart, s->base.rotation, s->q, s->nu, s->force);
+        else
+            dart_dynamics_inverse(x, w->dart, s->base.rotation, s->q, s->nu, s->spatial);
+        most = fmax(most, apart(x, forward ? s->spatial : s->force, SIZE)); /* fmax drops NaN */
+    }
+#else
+    (void)w, (void)forward;
+#endif
+    return most;
+}
+
 /* ---- rows ---- */
 
 static double time_once(bench_function function, work *w, int calls)
@@ -200,6 +266,29 @@ static void print_row(const bench *b, work *w, const char *name, bench_function 
         row.error_unit = "relative";
         judge(w, ours == our_forward, &row.error_ours, &row.error_peer);
     }
+    bench_print(b, &row);
+}
+
+static void print_dart(const bench *b, work *w, bool forward)
+{
+    const char *name = NAMES[forward ? FORWARD_DART : INVERSE_DART];
+    if (!bench_wanted(b, name)) return;
+    bench_row row = {.name = name,
+                     .unit = "ns",
+                     .peer = NAN,
+                     .peer_name = "DART, free base",
+                     .error_unit = "relative",
+                     .runs = RUNS};
+    bench_function peer = NULL;
+#ifdef TD_BENCH_DART
+    peer = forward ? dart_forward : dart_inverse;
+#else
+    row.remark = "DART is not installed";
+#endif
+    double kdl;
+    time_both(&row, w, forward ? our_forward : our_inverse, peer);
+    judge(w, forward, &row.error_ours, &kdl);
+    row.error_peer = dart_error(w, forward);
     bench_print(b, &row);
 }
 
@@ -281,6 +370,8 @@ static void print_rows(const bench *b, work *w)
     print_row(b, w, NAMES[INVERSE], our_inverse, inverse, true);
     print_row(b, w, NAMES[FORWARD], our_forward, forward, true);
     print_row(b, w, NAMES[MASS], our_mass, mass, false);
+    print_dart(b, w, false);
+    print_dart(b, w, true);
     w->coriolis = false;
     print_row(b, w, NAMES[INVERSE_STILL], our_inverse, inverse, false);
     print_row(b, w, NAMES[FORWARD_STILL], our_forward, forward, false);
@@ -304,6 +395,9 @@ void bench_dynamics(const bench *b)
 #ifdef TD_BENCH_KDL
     if (ready) ready = (w->peer = kdl_dynamics_read(path)) != NULL;
 #endif
+#ifdef TD_BENCH_DART
+    if (ready) ready = (w->dart = dart_dynamics_read(path)) != NULL;
+#endif
     for (int i = 0; ready && i < STATES; i++) make_state(w->state + i, &random, w->plain);
     if (ready)
         print_rows(b, w);
@@ -311,6 +405,9 @@ void bench_dynamics(const bench *b)
         fprintf(stderr, "teledimos-bench: %s\n", error.message);
 #ifdef TD_BENCH_KDL
     kdl_dynamics_free(w->peer);
+#endif
+#ifdef TD_BENCH_DART
+    dart_dynamics_free(w->dart);
 #endif
     td_dynamics_free(&w->made);
     td_dynamics_free(&w->plain);
