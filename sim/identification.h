@@ -117,10 +117,11 @@ TD_API td_status td_identify(td_identification **identification, const td_motion
 TD_API void td_identification_free(td_identification **identification);
 
 /* Base parameters (as many as td_identify names) of `other`, which differs from `robot` in its inertias and
- * frictions alone. `base_moves`: the log has a base. */
+ * frictions alone. `base_moves`: the log has a base;
+ * one that stands still does so as `options` (NULL: defaults) say. */
 TD_API td_status td_base_parameters_of(double *value, const td_robot *robot, bool base_moves,
                                        const td_robot *other, const double *viscous, const double *coulomb,
-                                       td_error *error);
+                                       const td_identification_options *options, td_error *error);
 
 #ifdef __cplusplus
 }

@@ -345,9 +345,10 @@ void td_id_model_free(td_id_model *m)
 }
 
 td_status td_base_parameters_of(double *value, const td_robot *robot, bool base_moves, const td_robot *other,
-                                const double *viscous, const double *coulomb, td_error *error)
+                                const double *viscous, const double *coulomb,
+                                const td_identification_options *options, td_error *error)
 {
-    const td_identification_options o = td_identification_options_default(robot);
+    const td_identification_options o = options ? *options : td_identification_options_default(robot);
     td_id_model m = {0};
     td_status status = td_id_model_make(&m, robot, &o, base_moves, error);
     double *standard = status == TD_OK ? calloc((size_t)m.standard, sizeof *standard) : NULL;
