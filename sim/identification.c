@@ -1,4 +1,4 @@
-/* The estimate: motion and parameters at once, by Gauss-Newton. */
+/* The estimate: the motion as splines, the parameters by instrumental variables. */
 #include "sim/identification.h"
 
 #include <lapacke.h>
@@ -170,6 +170,26 @@ static void gather(id_job *j)
         }
 }
 
+static const td_cylinder *cylinder_of(const td_robot *robot, int joint)
+{
+    for (int i = 0; i < robot->cylinder_count; i++)
+        if (robot->cylinder[i].joint == joint) return robot->cylinder + i;
+    return NULL;
+}
+
+/* What a sensor of forces spans: the joint's limit; where it has none, the largest force in the log. */
+static double force_span(const id_job *j, size_t k)
+{
+    const td_cylinder *c = cylinder_of(j->m.robot, (int)k);
+    const double limit =
+        c ? c->pressure_pa * c->count * PI / 4 * c->bore_m * c->bore_m : j->m.robot->joint[k].effort;
+    double largest = 0;
+    if (isfinite(limit) && limit > 0) return limit;
+    for (size_t i = 0; i < j->log->count; i++)
+        largest = fmax(largest, fabs(j->log->force[i * (size_t)j->m.n + k]));
+    return largest;
+}
+
 static td_status find_noise(id_job *j, td_error *error)
 {
     const td_identification_options *o = &j->m.o;
@@ -183,10 +203,8 @@ static td_status find_noise(id_job *j, td_error *error)
     }
     for (size_t k = 0; k < n; k++) {
         const bool slides = j->m.robot->joint[k].kind == TD_JOINT_PRISMATIC;
-        double largest = 0;
-        for (size_t i = 0; i < count; i++) largest = fmax(largest, fabs(j->log->force[i * n + k]));
-        j->sigma_force[k] =
-            fmax(fmax(o->floor_force * largest, 1e-9), td_id_noise(j->log->force + k, n, count, work));
+        j->sigma_force[k] = fmax(fmax(o->floor_force * force_span(j, k), 1e-9),
+                                 td_id_noise(j->log->force + k, n, count, work));
         j->sigma_rate[k] = slides ? o->floor_m_s : o->floor_rad_s;
         if (j->log->rate)
             j->sigma_rate[k] = fmax(j->sigma_rate[k], td_id_noise(j->log->rate + k, n, count, work));
@@ -391,13 +409,6 @@ static td_status follow_motion(id_job *j, td_error *error)
 }
 
 /* ---- which forces are explained ---- */
-
-static const td_cylinder *cylinder_of(const td_robot *robot, int joint)
-{
-    for (int i = 0; i < robot->cylinder_count; i++)
-        if (robot->cylinder[i].joint == joint) return robot->cylinder + i;
-    return NULL;
-}
 
 static td_status find_levers(id_job *j, td_error *error)
 {
@@ -708,6 +719,7 @@ static td_status fill_samples(td_identification *id, const id_job *j, td_error *
         id->joint[k] = (td_identified_joint){.sigma_position = j->sigma[k],
                                              .sigma_rate = j->log->rate ? j->sigma_rate[k] : NAN,
                                              .sigma_force = j->sigma_force[k]};
+    if (j->base_moves) memcpy(id->sigma_base, j->sigma + n, sizeof id->sigma_base);
     for (size_t i = 0; i < j->log->count; i++) {
         double weight[3][ID_SPLINE], at[3][TD_DYNAMICS_MAX];
         td_id_state s;

@@ -9,13 +9,14 @@
  * parameters (Gautier 1991); they are found as the independent columns of the regressor over states drawn at
  * random, the parents' first, so that each is one parameter of a link and what its children add to it.
  *
- * Estimate. Accelerations are not measured, and least squares with differentiated positions is biased. So the
- * motion is estimated too: positions of joints and base are splines of degree 5, fitted at once to positions,
- * rates, poses and, through the model, forces, each with its noise (maximum likelihood with errors in all
- * variables). Noise is taken from the log itself, by differences of order 5, never below a floor. The
- * prior (the robot's own parameters) is given many times their size as its sigma: it holds what the motion
- * does not tell, and nothing else. Where a joint stands still its friction is not known, and its equation is
- * left out.
+ * Estimate. Accelerations are not measured, and least squares with differentiated positions is biased by
+ * their noise. So splines of degree 5 are fitted to positions, rates and poses; what their noise does to the
+ * forces through the model is in the forces' weight R^-1, correlated in time as it is; and the equations are
+ * those of instrumental variables (Janot, Vandanjon, Gautier 2014), Z' R^-1 (force - Y theta) = 0, Y being
+ * the regressor on those splines and Z that on smoother ones, whose noise is negligible. Noise is taken from
+ * the log itself, by differences of order 5, never below a floor. The prior (the robot's own parameters)
+ * is given many times their size as its sigma: it holds what the motion does not tell, and nothing else.
+ * Where a joint stands still its friction is not known, and its equation is left out.
  *
  * A parameter is told when its sigma is below a share (`told`) of its size. */
 #ifndef TELEDIMOS_SIM_IDENTIFICATION_H
@@ -53,9 +54,10 @@ typedef struct td_identification_options {
     double smooth_s;               /* of the slow motion whose regressor is the instruments; default 0.25 */
     double floor_rad, floor_m;     /* least noise of positions and poses; default 1e-4 rad, 1e-4 m */
     double floor_rad_s, floor_m_s; /* of rates; default 1e-3 */
-    double floor_force;            /* of forces, as a share of the largest in the log; default 1e-3 */
-    double prior;                  /* sigma of the prior over a parameter's size; default 10 */
-    double told;                   /* default 0.5 */
+    double floor_force; /* of forces, as a share of a joint's limit (none: of the largest in the log); default
+                           1e-3 */
+    double prior;       /* sigma of the prior over a parameter's size; default 10 */
+    double told;        /* default 0.5 */
 } td_identification_options;
 TD_API td_identification_options td_identification_options_default(const td_robot *robot);
 
@@ -103,6 +105,7 @@ typedef struct td_identification {
     int iterations;
     int joints;
     td_identified_joint joint[TD_ROBOT_MAX_JOINTS];
+    double sigma_base[6]; /* noise of x, y, z, roll, pitch, yaw; 0 where the base stands still */
     size_t samples;
     double *predicted; /* (samples,n) force of the model */
     bool *used;        /* (samples,n) */

@@ -231,7 +231,7 @@ static void noisy_log(tally *t, const td_robot *robot, bool suspended, uint64_t 
     *truth = *robot;
     change(truth, &random);
     td_excitation_options motion = td_excitation_options_default(robot);
-    motion.seed = seed, motion.steps = 20;
+    motion.seed = seed, motion.steps = 20, motion.lowest_m = -INFINITY;
     check_ok(td_excitation_propose(&e, robot, NULL, &motion, NULL, &error), error);
     td_machine_options machine = td_machine_options_default(robot);
     machine.base = suspended ? TD_MACHINE_SUSPENDED : TD_MACHINE_FIXED;
