@@ -34,14 +34,9 @@ static void figures(td_report *r, const identify_job *j)
 
 static void parameter_table(td_report *r, const identify_job *j)
 {
-    static const char *const heads[] = {"parameter",
-                                        "value",
-                                        "unit",
-                                        "robot file",
-                                        "apart (sigma)",
-                                        "sigma with the proposed motion",
-                                        "what it is the sum of"};
-    td_report_table_begin(r, heads, 7);
+    static const char *const heads[] = {"parameter",  "value",         "unit",
+                                        "robot file", "apart (sigma)", "sigma with the proposed motion"};
+    td_report_table_begin(r, heads, 6);
     for (int a = 0; a < j->id->count; a++) {
         const td_identified *p = j->id->parameter + a;
         const double apart = (p->value - p->prior) / p->sigma;
@@ -55,7 +50,18 @@ static void parameter_table(td_report *r, const identify_job *j)
         td_report_cell(r, p->told && fabs(apart) > 3 ? TD_TONE_WARN : TD_TONE_PLAIN, "%.1f",
                        p->told ? apart : NAN);
         td_report_cell(r, TD_TONE_PLAIN, "%.2g", j->then ? j->then->parameter[a].sigma : NAN);
-        td_report_cell(r, TD_TONE_PLAIN, "%s", p->means);
+        td_report_row_end(r);
+    }
+    td_report_table_end(r);
+}
+
+static void meaning_table(td_report *r, const td_identification *id)
+{
+    static const char *const heads[] = {"parameter", "what it is the sum of"};
+    td_report_table_begin(r, heads, 2);
+    for (int a = 0; a < id->count; a++) {
+        td_report_cell(r, TD_TONE_PLAIN, "%s", id->parameter[a].name);
+        td_report_cell(r, TD_TONE_PLAIN, "%s", id->parameter[a].means);
         td_report_row_end(r);
     }
     td_report_table_end(r);
@@ -241,6 +247,8 @@ static void fill(td_report *r, const identify_job *j)
         r, "Bodies nearest to the robot file's that agree with what was identified%s.",
         j->id->feasible ? "" : "; those that no body could have were moved the least that makes them one");
     link_table(r, j);
+    td_report_heading(r, "What each parameter is the sum of");
+    meaning_table(r, j->id);
 }
 
 td_status identify_report(const void *done, const char *path, td_error *error)
