@@ -19,6 +19,8 @@ static const double SAMPLES_A_KNOT = 2.5;
 static const double MOVES = 4;
 /* rad or m: as near to a stop, a joint may be in it. */
 static const double NEAR_STOP = 2e-3;
+/* Of a joint's range: as far past a stop no noise carries it. */
+static const double PAST_STOP = 0.05;
 /* Change of parameters that ends the iteration, in sigmas. */
 static const double SMALL_CHANGE = 1e-3;
 
@@ -103,6 +105,24 @@ static td_status check_times(const td_motion_log *log, td_error *error)
     return TD_OK;
 }
 
+/* Noise may carry a position past a stop; a wrong unit or zero carries it further. */
+static td_status check_stops(const td_motion_log *log, const td_robot *robot, td_error *error)
+{
+    const size_t n = (size_t)robot->joint_count;
+    for (size_t i = 0; i < log->count; i++)
+        for (size_t k = 0; k < n; k++) {
+            const td_robot_joint *j = robot->joint + k;
+            const double q = log->position[i * n + k], past = PAST_STOP * (j->upper - j->lower);
+            if (q < j->lower - past || q > j->upper + past)
+                return td_fail(
+                    error, TD_ERROR_DATA,
+                    "%s: sample %zu: %s at %.4g is beyond its stops, %.4g to %.4g; is its zero or its "
+                    "unit another?",
+                    name_of(log), i + 1, j->name, q, j->lower, j->upper);
+        }
+    return TD_OK;
+}
+
 static td_status check_log(const td_motion_log *log, const td_robot *robot, td_error *error)
 {
     const int n = robot->joint_count;
@@ -113,6 +133,7 @@ static td_status check_log(const td_motion_log *log, const td_robot *robot, td_e
     TD_TRY(check_numbers(log, log->acceleration, n, "acceleration", robot, error));
     TD_TRY(check_numbers(log, log->force, n, "force", robot, error));
     TD_TRY(check_numbers(log, log->base, 6, "pose", NULL, error));
+    TD_TRY(check_stops(log, robot, error));
     for (size_t i = 0; i < log->count * (size_t)n; i++) largest = fmax(largest, fabs(log->force[i]));
     if (!(largest > 0))
         return td_fail(error, TD_ERROR_DATA, "%s: its forces are all 0; nothing can be told without them",

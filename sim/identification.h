@@ -112,8 +112,8 @@ typedef struct td_identification {
 } td_identification;
 
 /* Refused, naming it: a log that is too short or too long, times that do not rise or leave a gap, numbers
- * that are none, a joint beyond its cylinder's reach, forces that are all 0; a robot that td_dynamics
- * refuses; options out of range. `options` NULL: defaults. */
+ * that are none, a joint far beyond its stops or its cylinder's reach, forces that are all 0; a robot that
+ * td_dynamics refuses; options out of range. `options` NULL: defaults. */
 TD_API td_status td_identify(td_identification **identification, const td_motion_log *log,
                              const td_robot *robot, const td_identification_options *options,
                              td_error *error);

@@ -454,7 +454,8 @@ static void test_bad(void **unused)
     r.q[50 * JOINTS + 1] = NAN;
     check_fails(td_identify(&id, &bad, robot, NULL, &e), TD_ERROR_DATA, e, "sample 51: the position of boom");
     r.q[50 * JOINTS + 1] = -3;
-    check_fails(td_identify(&id, &bad, robot, NULL, &e), TD_ERROR_DATA, e, "");
+    check_fails(td_identify(&id, &bad, robot, NULL, &e), TD_ERROR_DATA, e,
+                "sample 51: boom at -3 is beyond its stops");
     r.q[50 * JOINTS + 1] = -0.4;
     r.time[30] = r.time[29];
     check_fails(td_identify(&id, &bad, robot, NULL, &e), TD_ERROR_DATA, e, "sample 31: times must rise");
