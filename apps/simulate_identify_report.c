@@ -32,23 +32,31 @@ static void figures(td_report *r, const identify_job *j)
     td_report_figures_end(r);
 }
 
+/* So that a sigma has two digits at least. */
+static int decimals(double sigma)
+{
+    const double places = 1 - floor(log10(sigma));
+    return places > 0 ? (int)fmin(places, 9) : 0;
+}
+
 static void parameter_table(td_report *r, const identify_job *j)
 {
     static const char *const heads[] = {"parameter",  "value",         "unit",
-                                        "robot file", "apart (sigma)", "sigma with the proposed motion"};
+                                        "robot file", "apart (sigma)", "sigma, proposed"};
     td_report_table_begin(r, heads, 6);
     for (int a = 0; a < j->id->count; a++) {
         const td_identified *p = j->id->parameter + a;
         const double apart = (p->value - p->prior) / p->sigma;
         td_report_cell(r, TD_TONE_PLAIN, "%s", p->name);
         if (p->told)
-            td_report_cell(r, TD_TONE_GOOD, "%.5g ± %.2g", p->value, p->sigma);
+            td_report_cell(r, TD_TONE_GOOD, "%.*f ± %.*f", decimals(p->sigma), p->value, decimals(p->sigma),
+                           p->sigma);
         else
             td_report_cell(r, TD_TONE_WARN, "not told");
         td_report_cell(r, TD_TONE_PLAIN, "%s", p->unit);
         td_report_cell(r, TD_TONE_PLAIN, "%.5g", p->prior);
         td_report_cell(r, p->told && fabs(apart) > 3 ? TD_TONE_WARN : TD_TONE_PLAIN, "%.1f",
-                       p->told ? apart : NAN);
+                       p->told ? round(10 * apart) / 10 + 0.0 : NAN);
         td_report_cell(r, TD_TONE_PLAIN, "%.2g", j->then ? j->then->parameter[a].sigma : NAN);
         td_report_row_end(r);
     }
