@@ -153,7 +153,7 @@ static void force_plots(td_report *r, const identify_job *j)
         char title[TD_NAME_SIZE + 40];
         snprintf(title, sizeof title, "%s: measured less predicted", name);
         const td_series both[2] = {{.label = "measured",
-                                    .shape = TD_SHAPE_POINT,
+                                    .shape = TD_SHAPE_CROSS,
                                     .tone = TD_TONE_WARN,
                                     .count = count,
                                     .x = x,

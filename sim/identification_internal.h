@@ -84,6 +84,49 @@ td_status td_arrow_follow(double *step, const td_arrow *a, const double *border_
  * values. */
 double td_id_noise(const double *value, size_t stride, size_t count, double *work);
 
+/* identification_log.c */
+td_status td_id_check_options(const td_identification_options *o, int n, td_error *error);
+td_status td_id_check_log(const td_motion_log *log, const td_robot *robot, td_error *error);
+const char *td_id_log_name(const td_motion_log *log);
+
+/* identification.c */
+/* Splines of all channels. */
+typedef struct td_id_motion {
+    td_id_spline spline;
+    size_t unknowns;
+    double *coefficient; /* (intervals+5,channels) */
+} td_id_motion;
+
+typedef struct td_id_job {
+    td_id_model m;
+    const td_motion_log *log;
+    bool base_moves;
+    int channels;  /* joints, and 6 of the base */
+    double *value; /* (count,channels), turns unwrapped */
+    double sigma[TD_DYNAMICS_MAX], sigma_rate[TD_ROBOT_MAX_JOINTS], sigma_force[TD_ROBOT_MAX_JOINTS];
+    td_id_motion fine, coarse; /* as the record has it, and its slow part */
+    double *lever;             /* (count,n) */
+    bool *used;                /* (count,n) */
+    size_t used_count;
+    double spline_chi2, chi2;
+    double *beta, *information, *covariance; /* (count), in sizes (count,count) */
+    int rounds;
+} td_id_job;
+
+td_status td_id_no_memory(td_error *error);
+/* Values, rates and second derivatives (3,channels) of the splines. */
+void td_id_values_at(double out[3][TD_DYNAMICS_MAX], const td_id_job *j, const td_id_motion *motion,
+                     size_t first, double weight[3][ID_SPLINE]);
+/* Sample i of a log with exact accelerations. */
+void td_id_exact_state(td_id_state *s, const td_id_job *j, size_t i);
+/* Measured less predicted force of joint k, over its noise; predicted in *force (may be NULL). */
+double td_id_force_residual(const td_id_job *j, size_t i, int k, const double *rows, double *force);
+/* Of the splines against positions, poses and rates: rms over what noise explains. */
+double td_id_spline_misfit(const td_id_job *j);
+
+/* identification_result.c */
+td_status td_id_fill(td_identification *id, const td_id_job *j, td_error *error);
+/* identification_links.c */
 td_status td_id_links(td_identification *id, const td_id_model *m, const double *covariance, td_error *error);
 
 #endif
