@@ -7,7 +7,7 @@
 #include "apps/simulate_internal.h"
 #include "core/file.h"
 
-static const char *scenario_path, *method, *compile_folder;
+static const char *scenario_path, *method, *compile_folder, *identify_path;
 static cli_common common;
 static cli_list gates;
 static bool accept, sweeping, no_coriolis;
@@ -20,6 +20,11 @@ static cli_option options[] = {
      "besides: control period against stability, gain and the oil's stiffness against cost, Coriolis terms "
      "on "
      "and off; some thirty runs",
+     0, 0, NULL},
+    {CLI_STRING, "identify", 0, &identify_path, "LOG",
+     "instead: inertias and frictions of the machine from a recorded motion (CSV as log.csv), what it does "
+     "not "
+     "tell, and a motion that tells more: proposed.yaml",
      0, 0, NULL},
     {CLI_STRING, "compile", 0, &compile_folder, "DIR",
      "generate the robot's equations as C, compile them into DIR ($CC, cc) and use them; kept there for the "
@@ -39,7 +44,7 @@ static cli_option options[] = {
     {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
     {CLI_FLAG, "accept", 0, &accept, NULL, "end with status 0 even when the gate refuses", 0, 0, NULL},
     CLI_COMMON_OPTIONS(common, "folder for the products: log.csv, result.yaml, report.html, log.jsonl",
-                       "this job draws none"),
+                       "--identify: the search of a motion"),
 };
 
 static cli_command command = {
@@ -57,9 +62,15 @@ static cli_command command = {
         "with machine: {hydraulics: false} the joints turn freely. control: {gain_1_s, period_s} closes a "
         "loop "
         "of positions around a motion of rates.\n\n"
+        "--identify estimates, from a log with columns as log.csv has them (positions and forces; rates and "
+        "the "
+        "base's pose where they are measured), the sums of masses, centres and inertias that the joints' "
+        "forces "
+        "show, and frictions, each with its sigma, and names what the motion does not tell.\n\n"
         "Exit status: 0 done, 1 failed, 2 wrong usage, 3 the gate refuses the result (--accept).",
     .examples = "  teledimos simulate datasets/zx200-motion -o motion\n"
-                "  teledimos simulate datasets/zx200-motion -o sweeps --sweep\n",
+                "  teledimos simulate datasets/zx200-motion -o sweeps --sweep\n"
+                "  teledimos simulate datasets/zx200-motion -o identified --identify motion/log.csv\n",
     .option = options,
     .option_count = sizeof options / sizeof *options,
     .least = 0,
@@ -73,6 +84,19 @@ static const char *gate_help(void)
     snprintf(text, sizeof text, "refuse above VALUE; may be repeated. Defaults, and why:");
     for (size_t i = 0; i < simulate_gate_count; i++) {
         const gate_row *g = &simulate_gate_defaults[i];
+        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
+                 g->refuse, g->warn, g->why);
+    }
+    return text;
+}
+
+/* Of --identify, whose gate follows that of a simulation in the help. */
+static const char *whole_gate_help(void)
+{
+    static char text[3200];
+    snprintf(text, sizeof text, "%s\nof --identify:", gate_help());
+    for (size_t i = 0; i < identify_gate_count; i++) {
+        const gate_row *g = &identify_gate_defaults[i];
         snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
                  g->refuse, g->warn, g->why);
     }
@@ -144,12 +168,44 @@ static td_status run(simulate_job *s, job *j)
     return job_finish(j, simulate_result(s), &output);
 }
 
+static td_status identify(identify_job *i, simulate_job *s, job *j)
+{
+    gate_row rows[8];
+    memcpy(rows, identify_gate_defaults, identify_gate_count * sizeof *rows);
+    for (size_t k = 0; k < gates.count; k++)
+        TD_TRY(gate_set(rows, identify_gate_count, gates.value[k], &j->error));
+    if (sweeping)
+        return td_fail(&j->error, TD_ERROR_ARGUMENT, "--sweep goes with a simulation, not with --identify");
+    TD_TRY(scenario_read(&s->scenario, scenario_path, &j->error));
+    TD_TRY(override(&s->scenario, &j->error));
+    *i = (identify_job){.scenario = &s->scenario, .path = identify_path};
+    td_status status = identify_run(i, (uint64_t)common.seed, &j->progress, &j->error);
+    if (status != TD_OK) return status == TD_ERROR_ARGUMENT ? TD_ERROR_DATA : status;
+    identify_judge(i, rows);
+    if (terminal_interrupted()) return td_fail(&j->error, TD_ERROR_CANCELLED, "interrupted");
+    TD_TRY(identify_write(i, common.output, &j->error));
+    s->gate = i->gate;
+    const job_output output = {identify_report, identify_table, i};
+    return job_finish(j, identify_result(i), &output);
+}
+
+/* The schema is chosen before the command line is parsed, for --schema. */
+static bool identifies(int argc, char **argv)
+{
+    for (int i = 1; i < argc; i++)
+        if (strncmp(argv[i], "--identify", 10) == 0) return true;
+    return false;
+}
+
 int main(int argc, char **argv)
 {
     job j;
+    identify_job identification = {0};
+    const bool identifying = identifies(argc, argv);
     for (size_t i = 0; i < command.option_count; i++)
-        if (options[i].target == &gates) options[i].help = gate_help();
-    int code = job_begin(&j, &command, &common, simulate_schema, simulate_schema_count, true, argc, argv);
+        if (options[i].target == &gates) options[i].help = whole_gate_help();
+    int code = job_begin(&j, &command, &common, identifying ? identify_schema : simulate_schema,
+                         identifying ? identify_schema_count : simulate_schema_count, true, argc, argv);
     if (code >= 0) return code;
     simulate_job *s = calloc(1, sizeof *s);
     td_status status;
@@ -159,8 +215,9 @@ int main(int argc, char **argv)
         status = td_fail(&j.error, TD_ERROR_ARGUMENT, "SCENARIO is missing (usage: teledimos %s %s)",
                          command.name, command.usage);
     else
-        status = run(s, &j);
+        status = identify_path ? identify(&identification, s, &j) : run(s, &j);
     code = job_end(&j, status, s && s->gate.verdict == VERDICT_REFUSED && !accept);
+    identify_free(&identification);
     if (s) {
         scenario_free(&s->scenario);
         run_free(&s->run);

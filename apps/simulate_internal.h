@@ -4,6 +4,7 @@
 
 #include "apps/gate.h"
 #include "apps/job.h"
+#include "sim/excitation.h"
 #include "sim/machine.h"
 
 enum { SIMULATE_MAX_ROWS = 1 << 20, SIMULATE_MAX_SWEEP = 16 };
@@ -106,6 +107,31 @@ void simulate_judge(simulate_job *j, const gate_row *rows);
 json_t *simulate_result(const simulate_job *j);
 void simulate_table(const void *done);
 td_status simulate_report(const void *done, const char *path, td_error *error);
+
+/* --identify: parameters from a recorded motion. */
+typedef struct identify_job {
+    const scenario *scenario;
+    const char *path; /* of the log */
+    size_t count;
+    double *time_s, *position, *rate, *force, *base; /* as td_motion_log's; rate, base: NULL when not there */
+    td_identification *id;
+    td_excitation proposed;
+    run_result run;          /* the proposed motion, simulated */
+    td_identification *then; /* from its log, with the noise of the one given; NULL: it could not be */
+    gate_result gate;
+} identify_job;
+extern const td_schema_row identify_schema[];
+extern const size_t identify_schema_count;
+extern const gate_row identify_gate_defaults[];
+extern const size_t identify_gate_count;
+td_status identify_run(identify_job *j, uint64_t seed, const td_progress *progress, td_error *error);
+void identify_free(identify_job *j);
+/* proposed.yaml and proposed.csv into a folder. */
+td_status identify_write(const identify_job *j, const char *folder, td_error *error);
+void identify_judge(identify_job *j, const gate_row *rows);
+json_t *identify_result(const identify_job *j);
+void identify_table(const void *done);
+td_status identify_report(const void *done, const char *path, td_error *error);
 
 /* Largest absolute value of an entry of a sample, and roll, pitch, yaw of the base. */
 void simulate_angles(double rpy[3], const td_pose *site_from_vehicle);
