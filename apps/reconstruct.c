@@ -185,7 +185,6 @@ int main(int argc, char **argv)
                            .log = &j.log};
     how.dense.method = strcmp(method, "opencv") == 0 ? TD_DENSE_OPENCV : TD_DENSE_OURS;
     how.dense.levels = levels;
-    how.dense.refine = true;
     how.fusion.correlation_px = 9; /* the window over which disparities are refined */
     how.fusion.place_m = 1;
     how.fusion.repeat_share = 0.8;
