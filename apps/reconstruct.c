@@ -185,9 +185,7 @@ int main(int argc, char **argv)
                            .log = &j.log};
     how.dense.method = strcmp(method, "opencv") == 0 ? TD_DENSE_OPENCV : TD_DENSE_OURS;
     how.dense.levels = levels;
-    how.fusion.correlation_px = 9; /* the window over which disparities are refined */
-    how.fusion.place_m = 1;
-    how.fusion.repeat_share = 0.8;
+    how.fusion.place_m = 0.1 * sqrt(near_m * far_m); /* a tenth of a middling distance */
     how.dense.threads = how.fusion.threads = common.threads;
     how.fusion.cell_m = cell_m;
     how.fusion.believe_frames = believe;

@@ -14,7 +14,7 @@ static const float LEAST_SLOPE = 0.5f;
 /* Of a residual's noise, what a slope has: two differences over two pixels each, halved, of two images. */
 static const float SLOPE_NOISE = 0.125f;
 /* The model of sigma (dense_refine.c). */
-static const float BY_NOISE = 1.8f, BY_MISFIT = 0.3f, BY_ROWS = 2.4f, BY_BEND = 0.5f;
+static const float BY_NOISE = 1.8f, BY_MISFIT = 0.3f, BY_ROWS = 2.4f, BY_BEND = 0.4f;
 static const float PIXELS = REFINE_SIDE * REFINE_SIDE;
 static const float LEAST_NOISE = 0.1f; /* grey levels^2: rounding */
 static const float CHANCE = 1.5f;      /* noise's variance in a window may be so many times the mean */
