@@ -1,6 +1,6 @@
 /* The elevation map of a site from many frames of a moving base.
  *
- * A cell is a Kalman filter of a height. Its error has two parts that are kept apart:
+ * A cell is a Kalman filter of a height: that of its square, the mean of the ground over it. Its error has two parts that are kept apart:
  *   noise, which averages out over measurements: matching, and each frame's own pose;
  *   calibration of the rig, which does not: it is the same in every frame and is taken as fully correlated.
  * What is assumed of the noise: matching errors of one frame are those of white noise averaged over a square
