@@ -1,21 +1,26 @@
 /* The elevation map of a site from many frames of a moving base.
  *
- * A cell is a Kalman filter of a height: that of its square, the mean of the ground over it. Its error has two parts that are kept apart:
+ * A cell is a Kalman filter of a height: that of its square, the mean of the ground over it. Its error has
+ * two parts that are kept apart:
  *   noise, which averages out over measurements: matching, and each frame's own pose;
  *   calibration of the rig, which does not: it is the same in every frame and is taken as fully correlated.
  * What is assumed of the noise: matching errors of one frame are those of white noise averaged over a square
  * of correlation_px; of two frames from one place (place_m) a share `repeat_share` of their variance is the
  * same error, for the same texture is seen the same way, and the pose's error is the same; of frames from two
- * places a share `elsewhere_share`, for the window rounds off the same ground, and nothing of the pose. The
- * defaults were measured on rendered sites at 3 m, 1280 x 960 px (tests/recon/test_site_map):
- *   8 px      the autocorrelation of the refined disparities' errors falls as a triangle that ends there (the
- *             window's side is 9 px);
- *   0.5       errors of one place again, in other noise: correlated by 0.3 to 0.5 under much noise (s = 1.4
- *             grey levels), 0.8 under little;
- *   0.3 m     moved by a tenth of the distance, that has fallen by a third;
- *   0.2       a fifth of the distance: 0.2; turned by half a radian besides: 0.1 to 0.2. Heights are taken
- * along the vertical of the cell's centre, so that an error sideways counts as much as the slope makes of it;
- * where the points of a cell scatter far more than their noise (an edge, a stone) their scatter counts too.
+ * places a share `elsewhere_share`, for the window rounds off the same ground, and nothing of the pose.
+ *
+ * The defaults of these four were measured on rendered sites at 3 m, 1280 x 960 px, baseline 0.4 m:
+ *   8 px   the autocorrelation of refined disparities' errors falls nearly as a triangle that ends at 8 to 9
+ *          px, the window's side, and the means of squares of any size scatter as for 8 px (6.4 px where
+ *          there is little noise);
+ *   0.5    the same place again, with other noise: errors are correlated by 0.3 to 0.5 under much noise (1.4
+ *          grey levels), by 0.8 under little;
+ *   0.3 m  from there on, a tenth of the distance, the correlation is down to a half or two thirds of that;
+ *   0.2    moved by a fifth of the distance: 0.2; by 0.4 of it, and turned by half a radian: 0.1 to 0.2.
+ *
+ * Heights are taken along the vertical of the cell's centre, so that an error sideways counts as much as the
+ * slope makes of it; where the points of a cell scatter far more than their noise (an edge, a stone) their
+ * scatter counts too.
  *
  * A measurement that contradicts the cell (Mahalanobis distance above the gate) is not believed at once; when
  * N frames in a row say the same, the ground has changed, and the cell begins anew. A cell that N frames in a
