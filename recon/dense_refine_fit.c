@@ -84,11 +84,11 @@ static void fit_tile(size_t index, void *user)
 void dense_fit_lift(dense_lift *lift, const td_image *left, const int16_t *slope, const int16_t *residual,
                     const int16_t *with, int threads)
 {
-    rows_job job = {left, slope, residual, with, 3 * median_residual(left, residual, with), lift->at[0]};
+    rows_job job = {left, slope, residual, with, 3 * median_residual(left, residual, with), lift->at};
     float square = 0, known = 0;
     td_parallel_for(REFINE_TILES * REFINE_TILES, threads, fit_tile, &job, NULL, NULL);
     for (int k = 0; k < REFINE_TILES * REFINE_TILES; k++) {
-        float *at = &lift->at[0][0] + k;
+        float *at = lift->at + k;
         if (isnan(*at))
             *at = 0;
         else
@@ -106,7 +106,8 @@ void dense_lift_row(float *lift, const dense_lift *of, int y, int width, int hei
     const float part = v - (float)above;
     float row[REFINE_TILES + 2];
     for (int k = 0; k < REFINE_TILES; k++)
-        row[k + 1] = (1 - part) * of->at[above][k] + part * of->at[above + 1][k];
+        row[k + 1] =
+            (1 - part) * of->at[above * REFINE_TILES + k] + part * of->at[(above + 1) * REFINE_TILES + k];
     row[0] = row[1], row[REFINE_TILES + 1] = row[REFINE_TILES];
     for (int k = 0, x = 0; k <= REFINE_TILES; k++) {
         const float from = ((float)k - 0.5f) * wide, rise = (row[k + 1] - row[k]) / wide;
@@ -146,13 +147,13 @@ static double low_of(const uint32_t count[BINS], double all)
     return value_of(bin + (LOWEST * all - below) / MAX(count[bin], 1));
 }
 
-void dense_fit_noise(dense_noise *noise, const td_image *left, const float *variance)
+bool dense_fit_noise(dense_noise *noise, const td_image *left, const float *variance)
 {
     uint32_t(*count)[BINS] = calloc(BANDS, sizeof *count);
     const size_t width = (size_t)left->width;
     double n = 0, x = 0, y = 0, xx = 0, xy = 0;
     *noise = (dense_noise){0, 0};
-    if (!count) return;
+    if (!count) return false;
     for (size_t row = 2; row < (size_t)left->height; row += 4)
         for (size_t i = row * width; i < (row + 1) * width; i++)
             if (variance[i] >= 0) count[left->data[i] * BANDS / 256][bin_of(variance[i])]++;
@@ -164,8 +165,9 @@ void dense_fit_noise(dense_noise *noise, const td_image *left, const float *vari
         n += all, x += all * grey, y += all * low, xx += all * grey * grey, xy += all * grey * low;
     }
     free(count);
-    if (!(n > 0)) return;
+    if (!(n > 0)) return true;
     const double spread = xx - x * x / n;
     const double rate = spread > n ? (xy - x * y / n) / spread : 0;
     *noise = (dense_noise){(float)((y - rate * x) / n), (float)rate};
+    return true;
 }

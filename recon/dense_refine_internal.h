@@ -17,8 +17,8 @@ enum {
 /* How far the right image's rows are off the left's: px, positive where what is seen lies lower at the left;
  * at the centres of tiles. */
 typedef struct dense_lift {
-    float at[REFINE_TILES][REFINE_TILES];
-    float square; /* mean of the squares */
+    float at[REFINE_TILES * REFINE_TILES]; /* by rows */
+    float square;                          /* mean of the squares */
 } dense_lift;
 
 /* Variance of a residual's noise, grey levels^2: base + rate * grey. */
@@ -34,6 +34,7 @@ void dense_fit_lift(dense_lift *lift, const td_image *left, const int16_t *slope
 /* Offsets of the rows along row y. */
 void dense_lift_row(float *lift, const dense_lift *of, int y, int width, int height);
 /* variance (height,width): of the residuals in each window; negative: not known. */
-void dense_fit_noise(dense_noise *noise, const td_image *left, const float *variance);
+/* False: no memory. */
+bool dense_fit_noise(dense_noise *noise, const td_image *left, const float *variance);
 
 #endif
