@@ -176,10 +176,7 @@ static void set_parts(reconstruct_how *how, const char *tiles)
 {
     how->dense.method = strcmp(method, "opencv") == 0 ? TD_DENSE_OPENCV : TD_DENSE_OURS;
     how->dense.levels = levels;
-    how->dense.refine = true;
-    how->fusion.correlation_px = 9; /* the window over which disparities are refined */
-    how->fusion.place_m = 1;
-    how->fusion.repeat_share = 0.8;
+    how->fusion.place_m = 0.1 * sqrt(near_m * far_m); /* a tenth of a middling distance */
     how->dense.threads = how->fusion.threads = threads_here();
     how->fusion.cell_m = cell_m;
     how->fusion.believe_frames = believe;

@@ -20,7 +20,7 @@ td_dense_options td_dense_options_default(void)
                               .fill = true,
                               .left_check = true,
                               .coarse_to_fine = true,
-
+                              .refine = true,
                               .speckle = 50};
 }
 
@@ -257,7 +257,8 @@ td_status dense_match_by(td_disparity **disparity, const td_image *left, const t
     else if (status == TD_OK)
         status = match_by_paths(&map, left, right, kernel, options);
     if (status == TD_OK) status = dense_hand_over(result, &map, kernel->loops, options);
-    if (status == TD_OK && options->refine) status = dense_refine(result, left, right, options->threads);
+    if (status == TD_OK && options->refine)
+        status = dense_refine(result, left, right, kernel->loops, options->threads);
     map_free(&map);
     if (status != TD_OK) {
         td_disparity_free(&result);
@@ -284,7 +285,8 @@ size_t td_dense_memory(int width, int height, const td_dense_options *options)
     if (width < 1 || height < 1 || td_dense_options_check(options, NULL) != TD_OK) return 0;
     size_t n = (size_t)width * (size_t)height, stripes = (size_t)dense_stripes(height);
     size_t beyond = (size_t)(abs(options->lowest) + options->levels + 2 * DENSE_LANES) * (size_t)height;
-    size_t result = n * ((options->refine ? 6 : 2) * sizeof(float) + 1), map = n * (sizeof(int16_t) + 3);
+    size_t result = n * (2 * sizeof(float) + 1 + (options->refine ? DENSE_REFINE_BYTES : 0)),
+           map = n * (sizeof(int16_t) + 3);
     size_t planes = DENSE_PLANES * (2 * n + beyond), cleaning = n * (4 * sizeof(uint32_t) + sizeof(int16_t));
     if (options->threads && (size_t)options->threads < stripes) stripes = (size_t)options->threads;
     size_t rows = stripes * dense_stripe_bytes(width, options->levels + DENSE_LANES);

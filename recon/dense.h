@@ -5,10 +5,12 @@
  * fraction of a pixel, checked from the right image, specks taken out, holes filled from the background's
  * side and marked.
  *
- * Sigma is the 68 % quantile of the error's size, fitted to real pairs with known disparities from the shape
- * of the cost, how badly the winner fits, and how much the neighbours differ (dense_sigma.c); of a filled
- * pixel it is 1.5 px and more. The same input and options give the same bytes on every processor, at any
- * thread count. */
+ * Matched pixels are then refined by the grey values themselves, and their sigma, the 68 % quantile of the
+ * error's size, follows from the images' noise and texture, from what does not fit and from how far the rows
+ * are apart (dense_refine.c). Without refinement it is fitted to real pairs from the shape of the cost, how
+ * badly the winner fits, and how much the neighbours differ (dense_sigma.c): right on walls that face the
+ * camera, too small on ground seen aslant. Of a filled pixel it is 1.5 px and more. The same input and
+ * options give the same bytes on every processor, at any thread count. */
 #ifndef TELEDIMOS_RECON_DENSE_H
 #define TELEDIMOS_RECON_DENSE_H
 
@@ -44,8 +46,8 @@ typedef struct td_dense_options {
     bool left_check;     /* default true */
     bool coarse_to_fine; /* ranges per tile from half the size; default: where it pays (96 levels and more) */
     bool refine; /* matched disparities by the grey values themselves: to a tenth of a pixel also on slopes
-                    such as ground seen from aside, where the paths lag behind. Takes as long as the matching;
-                    default false */
+                    such as ground seen from aside, where the paths lag behind. Takes half as long as the
+                    matching; default true */
     int speckle; /* areas of fewer pixels that differ from all around are taken out; default 50; 0: none */
     int threads; /* 0: one per processor; the result does not depend on it */
     const td_progress *progress;

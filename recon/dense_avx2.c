@@ -229,6 +229,87 @@ static void backward_avx2(const dense_row *row)
     }
 }
 
+/* ---- refinement ---- */
+
+static inline __m256 grey_of(__m256i bytes, int shift)
+{
+    return _mm256_cvtepi32_ps(_mm256_and_si256(_mm256_srli_epi32(bytes, shift), _mm256_set1_epi32(255)));
+}
+
+static inline __m256 eight_greys(const uint8_t *p)
+{
+    return _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i *)(const void *)p)));
+}
+
+static inline __m256 times(__m256 a, __m256 b)
+{
+    return _mm256_mul_ps(a, b);
+}
+
+static inline __m256 plus(__m256 a, __m256 b)
+{
+    return _mm256_add_ps(a, b);
+}
+
+static inline __m256 minus(__m256 a, __m256 b)
+{
+    return _mm256_sub_ps(a, b);
+}
+
+/* Whole eighths, 0 where `with` is. */
+static inline void store_eighths(int16_t *to, __m256 grey, __m256 with)
+{
+    const __m256 most = _mm256_set1_ps(REFINE_MOST), half = _mm256_set1_ps(REFINE_MOST + 0.5f);
+    __m256 up = times(grey, _mm256_set1_ps(REFINE_ONE));
+    up = _mm256_min_ps(_mm256_max_ps(up, minus(_mm256_setzero_ps(), most)), most);
+    __m256i whole = _mm256_sub_epi32(_mm256_cvttps_epi32(plus(up, half)), _mm256_set1_epi32(REFINE_MOST));
+    whole = _mm256_and_si256(whole, _mm256_castps_si256(with));
+    const __m128i packed = _mm_packs_epi32(_mm256_castsi256_si128(whole), _mm256_extracti128_si256(whole, 1));
+    _mm_storeu_si128((__m128i *)(void *)to, packed);
+}
+
+/* Eight pixels from x on, as refine_look_span; the four pixels that a look-up needs are one word. */
+static inline void look_eight(const dense_look *w, int x)
+{
+    const __m256 half = _mm256_set1_ps(0.5f), one = _mm256_set1_ps(1), two = _mm256_set1_ps(2),
+                 three = _mm256_set1_ps(3), gain = _mm256_set1_ps(w->gain);
+    const __m256i place = _mm256_add_epi32(_mm256_set1_epi32(x), _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7));
+    const __m256 to = minus(_mm256_cvtepi32_ps(place), _mm256_loadu_ps(w->value + x));
+    const __m256i kind = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i *)(const void *)(w->kind + x)));
+    const __m256i matched = _mm256_cmpeq_epi32(kind, _mm256_set1_epi32(TD_DENSE_MATCHED));
+    const __m256 last = _mm256_set1_ps((float)(w->width - 2));
+    const __m256 inside =
+        _mm256_and_ps(_mm256_cmp_ps(to, one, _CMP_GE_OQ), _mm256_cmp_ps(to, last, _CMP_LT_OQ));
+    const __m256 with = _mm256_and_ps(_mm256_castsi256_ps(matched), inside);
+    const __m256 at = _mm256_blendv_ps(one, to, with);
+    const __m256i i = _mm256_cvttps_epi32(at);
+    const __m256i four = _mm256_i32gather_epi32((const int *)(const void *)(w->right - 1), i, 1);
+    const __m256 t = minus(at, _mm256_cvtepi32_ps(i)), a = grey_of(four, 0), b = grey_of(four, 8),
+                 c = grey_of(four, 16), d = grey_of(four, 24), p = minus(c, a);
+    const __m256 q =
+        minus(plus(minus(times(two, a), times(_mm256_set1_ps(5), b)), times(_mm256_set1_ps(4), c)), d);
+    const __m256 s = minus(plus(times(three, minus(b, c)), d), a);
+    const __m256 grey = plus(b, times(times(half, t), plus(p, times(t, plus(q, times(t, s))))));
+    const __m256 slope = times(half, plus(p, times(t, plus(times(two, q), times(times(three, t), s)))));
+    const __m256 beside = times(half, minus(eight_greys(w->left + x + 1), eight_greys(w->left + x - 1)));
+    const __m256 down = times(half, minus(eight_greys(w->below + x), eight_greys(w->above + x)));
+    const __m256 residual =
+        minus(minus(eight_greys(w->left + x), times(gain, grey)), times(_mm256_loadu_ps(w->lift + x), down));
+    store_eighths(w->slope + x, times(half, plus(times(gain, slope), beside)), with);
+    store_eighths(w->residual + x, residual, with);
+    const __m256i taken = _mm256_srli_epi32(_mm256_castps_si256(with), 31);
+    _mm_storeu_si128((__m128i *)(void *)(w->with + x),
+                     _mm_packs_epi32(_mm256_castsi256_si128(taken), _mm256_extracti128_si256(taken, 1)));
+}
+
+static void look_avx2(const dense_look *row)
+{
+    int x = 1;
+    for (; x + 8 < row->width; x += 8) look_eight(row, x);
+    refine_look_span(row, x, row->width - 1);
+}
+#define DENSE_LOOK look_avx2
+
 static const dense_loops loops_avx2 = DENSE_LOOPS;
 
 const dense_kernel dense_kernel_avx2 = {forward_avx2, backward_avx2, &loops_avx2};

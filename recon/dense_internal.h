@@ -66,7 +66,30 @@ typedef struct dense_row {
     uint8_t *least, *before, *after;
 } dense_row;
 
-/* Loops over a row (dense_loops_internal.h). */
+/* A row that is looked up in the right image, each pixel at its own disparity. */
+typedef struct dense_look {
+    int width;
+    const float *value;           /* (width) px */
+    const uint8_t *kind;          /* (width) td_dense_kind */
+    const uint8_t *left, *right;  /* (width) */
+    const uint8_t *above, *below; /* (width) rows of the left image */
+    const float *lift;            /* (width) px, how far the right row is off the left one */
+    float gain;                   /* right to left */
+    int16_t *slope, *residual;    /* (width) 1/8 grey level a pixel; 1/8 grey level; 0 where */
+    int16_t *with;                /* (width) 0: the pixel takes no part */
+} dense_look;
+
+/* What is known of a row's pixels, and of the pair, for sigma. */
+typedef struct dense_trust {
+    const float *variance; /* (width) grey levels^2, of the residuals in the window; negative: no fit */
+    const float *weight;   /* (width) 1 / G_gg */
+    const float *bend;     /* (width) px^2 */
+    const uint8_t *grey;   /* (width) */
+    float base, rate;      /* of dense_noise */
+    float rows;            /* px^2, mean square of the rows' offset */
+} dense_trust;
+
+/* Loops over a row (dense_loops_internal.h, dense_refine_loops_internal.h). */
 typedef struct dense_loops {
     void (*census)(uint8_t *restrict code, const uint8_t *centre, const uint8_t *const neighbour[8],
                    int width);
@@ -82,6 +105,18 @@ typedef struct dense_loops {
                     const uint8_t *restrict least, const int16_t *restrict sum,
                     const int16_t *restrict spread, float lowest, int width);
     void (*reverse)(uint8_t *restrict to, const uint8_t *restrict from, int count);
+    void (*smooth)(float *restrict out, const float *restrict value, int begin, int end, ptrdiff_t apart,
+                   int reach);
+    void (*look)(const dense_look *row);
+    void (*add)(int32_t *sum, const int16_t *slope, const int16_t *residual, const int16_t *with, int sign,
+                int width);
+    void (*across)(int32_t *restrict sum, const int32_t *restrict column, int32_t *restrict work, int width);
+    void (*step)(float *restrict to, const float *restrict value, const int32_t *restrict sums,
+                 const int16_t *restrict with, int width);
+    void (*vary)(float *restrict variance, float *restrict weight, const int32_t *restrict sums,
+                 const int16_t *restrict with, int width);
+    void (*bend)(float *restrict bend, const float *here, const float *const side[8], int begin, int end);
+    void (*trust)(float *restrict sigma, const dense_trust *row, int width);
 } dense_loops;
 
 /* The inner loops; both kinds give the same bytes. */
@@ -135,7 +170,9 @@ size_t dense_stripe_bytes(int width, int levels);
 int dense_stripes(int height);
 
 /* dense_refine.c: matched disparities and their sigma by the grey values themselves. */
-td_status dense_refine(td_disparity *result, const td_image *left, const td_image *right, int threads);
+td_status dense_refine(td_disparity *result, const td_image *left, const td_image *right,
+                       const dense_loops *loops, int threads);
+enum { DENSE_REFINE_BYTES = 4 * sizeof(float) + 3 * sizeof(int16_t) }; /* a pixel */
 
 /* dense_winner.c: how far from the middle (1/32 px) the winner lies, by the slopes beside it. */
 void dense_winner_fractions(int8_t fraction[2 * DENSE_FRACTIONS + 1]);

@@ -5,6 +5,7 @@
 #define TELEDIMOS_RECON_DENSE_LOOPS_INTERNAL_H
 
 #include "recon/dense_internal.h"
+#include "recon/dense_refine_loops_internal.h"
 
 #define MIN(a, b) ((a) < (b) ? (a) : (b))
 #define MAX(a, b) ((a) > (b) ? (a) : (b))
@@ -118,7 +119,8 @@ static void reverse(uint8_t *restrict to, const uint8_t *restrict from, int coun
 
 #define DENSE_LOOPS                                                                                          \
     {                                                                                                        \
-        census_byte, penalties, places, median_row, neighbours, convert_row, reverse                         \
+        census_byte, penalties, places, median_row, neighbours, convert_row, reverse, refine_smooth,         \
+            DENSE_LOOK, refine_add, refine_across, refine_step, refine_vary, refine_bend, refine_trust       \
     }
 
 #endif

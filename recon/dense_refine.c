@@ -1,4 +1,4 @@
-/* Disparities to a small fraction of a pixel, by the grey values themselves.
+/* Disparities to a small fraction of a pixel, by the grey values themselves, and how sure they are.
  *
  * Summed costs are biased on slopes (paths come from above and from the sides, not from below, so that a
  * disparity lags behind its plane by about a row) and pulled towards fractions of their own. Here each
@@ -6,224 +6,223 @@
  * residuals r and the slopes g say by how much all of them are off (least squares with a free offset of grey;
  * Lucas and Kanade 1981, the slope from both images):
  *
- *     delta(p) = - (sum g r - sum g sum r / n) / (sum g^2 - (sum g)^2 / n)
+ *     delta(p) = - G_gr / G_gg,   G_ab = sum a b - sum a sum b / n.
  *
- * Every pixel of the window brings its own disparity, so slanted and curved surfaces stay as they are. */
-#include <math.h>
+ * Every pixel of the window brings its own disparity, so slanted and curved surfaces stay as they are. Rows
+ * that do not quite meet are measured first and allowed for (dense_refine_fit.c).
+ *
+ * Sigma's square is the sum of what the normal equation says and of what it cannot know, each times the
+ * square of a factor (BY_NOISE … in dense_refine_loops_internal.h):
+ *
+ *     noise   s^2 / G_gg, s^2 the variance of the window's residuals; G_gg less what noise itself adds to it
+ *     misfit  max(0, s^2 - 1.5 N) 81 / G_gg: residuals beyond the images' noise N, a line over grey that the
+ *             pair itself gives, are of one piece (another surface, a reflection, sampling): no average over
+ *             the window helps
+ *     rows    the mean square of the rows' offset: along the rows, where it cannot be seen, a rectification
+ *             is as wrong as across them
+ *     bend    how far the pixel lies off the middle of its neighbours: an edge or a fold in the window
+ *
+ * The factors make sigma the 68 % quantile of the errors (quantile regression, Koenker & Bassett 1978) on two
+ * real pairs (Teddy, Cones, their truth's rounding allowed for) and two rendered ones
+ * (datasets/site-polyhedra, site-trench). On others it holds 67 % (Motorcycle), 68 and 69 % (rough ground
+ * with much and little noise); where contrast is no more than noise it is too small. The factor of noise is
+ * above 1, for rectification has made neighbours' noise alike. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "core/parallel.h"
-#include "recon/dense_internal.h"
+#include "recon/dense_refine_internal.h"
 
-enum { WINDOW = 4, SIDE = 2 * WINDOW + 1, BAND = 16, FEWEST = 20, ROUNDS = 2 };
+enum { BAND = 32, ROUNDS = 2 };
 
-/* Grey levels a pixel: below it, a window's slope is noise. */
-static const float LEAST_SLOPE = 0.5f;
-static const float MOST_STEP = 0.5f;
-/* Standard deviation: the 68 % quantile of errors on pixels that both cameras see, of Motorcycle and of
- * rendered sites. The last step, which should be nothing, tells how unsettled a place is; noise and contrast
- * of the window add nothing to it. */
-static const float FLOOR = 0.115f, UNSETTLED = 1.35f;
-static const float SAME = 0.75f; /* px: neighbours that differ by more belong to another surface */
+#define MIN(a, b) ((a) < (b) ? (a) : (b))
+#define MAX(a, b) ((a) > (b) ? (a) : (b))
 
 typedef struct refinement {
     const td_image *left, *right;
     td_disparity *result;
-    float *value;            /* (height,width) after this round */
-    float *slope, *residual; /* (height,width); slope NaN-free, 0 with `with` 0 */
-    float *with;             /* (height,width) 1 where the pixel takes part */
-    float gain;              /* right to left */
-    bool last;               /* round: sigmas are written too */
-    bool *failed;            /* (bands) */
+    const dense_loops *loops;
+    float *value;                     /* (height,width) after this round */
+    int16_t *slope, *residual, *with; /* (height,width) of dense_look */
+    float *variance, *weight, *bend;  /* (height,width) of dense_trust, after the last round */
+    float gain;
+    dense_lift lift;
+    dense_noise noise;
+    bool last;    /* round: what sigma is made of is written too */
+    bool *failed; /* (bands) */
 } refinement;
 
-/* Keys' cubic (a = -1/2) at `at` pixels of a row, and its derivative; the row is not left: 1 <= at < width
- * - 2. */
-static float look_up(float *slope, const uint8_t *row, float at)
+static void band_of(int *begin, int *end, const refinement *w, size_t index)
 {
-    int i = (int)at;
-    float t = at - (float)i, a = row[i - 1], b = row[i], c = row[i + 1], d = row[i + 2];
-    float p = c - a, q = 2 * a - 5 * b + 4 * c - d, s = 3 * (b - c) + d - a;
-    *slope = 0.5f * (p + t * (2 * q + 3 * t * s));
-    return b + 0.5f * t * (p + t * (q + t * s));
+    *begin = (int)index * BAND;
+    *end = MIN(*begin + BAND, w->left->height);
 }
 
-/* The mean of neighbours that belong to the same surface, in pairs left and right (or above and below), so
- * that slopes stay as they are. `apart`: elements from one neighbour to the next. */
-static void smooth_row(float *restrict out, const float *restrict value, size_t begin, size_t end,
-                       ptrdiff_t apart, int reach)
+static size_t row_of(const refinement *w, int y)
 {
-    for (size_t x = begin; x < end; x++) {
-        const float *here = value + x;
-        float sum = 0, n = 1;
-        for (int k = 1; k <= reach; k++) {
-            const float a = here[-k * apart] - *here, b = here[k * apart] - *here;
-            const bool same = fabsf(a) < SAME && fabsf(b) < SAME; /* false for NaN */
-            sum += same ? a + b : 0;
-            n += same ? 2 : 0;
-        }
-        out[x] = *here + sum / n;
-    }
+    return (size_t)y * (size_t)w->left->width;
 }
 
 /* Along the rows into `value`, then down the columns back into the result. */
 static void smooth_along(size_t index, void *user)
 {
     const refinement *w = user;
-    const size_t width = (size_t)w->left->width;
-    const int end = (int)(index + 1) * BAND;
-    for (int y = (int)index * BAND; y < end && y < w->left->height; y++) {
-        float *to = w->value + (size_t)y * width;
-        const float *from = w->result->value + (size_t)y * width;
-        memcpy(to, from, width * sizeof *to);
-        smooth_row(to, from, WINDOW, width - WINDOW, 1, WINDOW);
+    const int width = w->left->width, side = REFINE_WINDOW;
+    int y, end;
+    for (band_of(&y, &end, w, index); y < end; y++) {
+        float *to = w->value + row_of(w, y);
+        const float *from = w->result->value + row_of(w, y);
+        memcpy(to, from, (size_t)width * sizeof *to);
+        w->loops->smooth(to, from, side, width - side, 1, side);
     }
 }
 
 static void smooth_down(size_t index, void *user)
 {
     const refinement *w = user;
-    const size_t width = (size_t)w->left->width;
-    const int end = (int)(index + 1) * BAND, height = w->left->height;
-    for (int y = (int)index * BAND; y < end && y < height; y++) {
-        const int room = y < height - 1 - y ? y : height - 1 - y;
-        smooth_row(w->result->value + (size_t)y * width, w->value + (size_t)y * width, 0, width,
-                   (ptrdiff_t)width, room < WINDOW ? room : WINDOW);
-    }
-}
-
-/* left = gain right + offset, over every fourth row: cameras may be exposed differently. */
-static float fit_gain(const refinement *w)
-{
-    const int width = w->left->width;
-    double n = 0, a = 0, b = 0, ab = 0, bb = 0;
-    for (int y = 2; y < w->left->height; y += 4)
-        for (int x = 1; x + 1 < width; x++) {
-            const size_t at = (size_t)y * (size_t)width + (size_t)x;
-            const float to = (float)x - w->result->value[at];
-            float slope;
-            if (w->result->kind[at] != TD_DENSE_MATCHED || !(to >= 1) || to >= (float)(width - 2)) continue;
-            const double l = w->left->data[at], r = look_up(&slope, w->right->data + at - x, to);
-            n++, a += l, b += r, ab += l * r, bb += r * r;
-        }
-    const double variance = bb - b * b / n, gain = (ab - a * b / n) / variance;
-    return n > 1000 && variance > 4 * n && gain > 0.25 && gain < 4 ? (float)gain : 1;
+    const int width = w->left->width, last = w->left->height - 1;
+    int y, end;
+    for (band_of(&y, &end, w, index); y < end; y++)
+        w->loops->smooth(w->result->value + row_of(w, y), w->value + row_of(w, y), 0, width, width,
+                         MIN(MIN(y, last - y), REFINE_WINDOW));
 }
 
 static void look_band(size_t index, void *user)
 {
     const refinement *w = user;
-    const int width = w->left->width, end = (int)(index + 1) * BAND;
-    for (int y = (int)index * BAND; y < end && y < w->left->height; y++) {
-        const size_t at = (size_t)y * (size_t)width;
-        const uint8_t *l = w->left->data + at, *r = w->right->data + at;
-        for (int x = 0; x < width; x++) {
-            const float to = (float)x - w->result->value[at + (size_t)x];
-            float slope = 0, residual = 0;
-            const bool with = w->result->kind[at + (size_t)x] == TD_DENSE_MATCHED && to >= 1 &&
-                              to < (float)(width - 2) && x > 0 && x + 1 < width;
-            if (with) {
-                residual = (float)l[x] - w->gain * look_up(&slope, r, to);
-                slope = 0.5f * (w->gain * slope + 0.5f * (float)(l[x + 1] - l[x - 1]));
-            }
-            w->slope[at + (size_t)x] = slope;
-            w->residual[at + (size_t)x] = residual;
-            w->with[at + (size_t)x] = with;
-        }
+    const int width = w->left->width, last = w->left->height - 1;
+    float *lift = malloc((size_t)width * sizeof *lift);
+    int y, end;
+    w->failed[index] = !lift;
+    for (band_of(&y, &end, w, index); y < end && lift; y++) {
+        const size_t at = row_of(w, y);
+        const dense_look row = {.width = width,
+                                .value = w->result->value + at,
+                                .kind = w->result->kind + at,
+                                .left = w->left->data + at,
+                                .right = w->right->data + at,
+                                .above = w->left->data + row_of(w, MAX(y - 1, 0)),
+                                .below = w->left->data + row_of(w, MIN(y + 1, last)),
+                                .lift = lift,
+                                .gain = w->gain,
+                                .slope = w->slope + at,
+                                .residual = w->residual + at,
+                                .with = w->with + at};
+        dense_lift_row(lift, &w->lift, y, width, last + 1);
+        for (int x = 0; x < width; x += width - 1) row.slope[x] = row.residual[x] = row.with[x] = 0;
+        w->loops->look(&row);
     }
+    free(lift);
 }
 
-/* Sums over a column of the window: n, g, r, gg, gr (5,width). */
-static void sum_columns(float *restrict sum, const refinement *w, int y)
+static void add_row(int32_t *column, const refinement *w, int y, int sign)
 {
-    const size_t width = (size_t)w->left->width;
-    memset(sum, 0, 5 * width * sizeof *sum);
-    for (int k = -WINDOW; k <= WINDOW; k++) {
-        if (y + k < 0 || y + k >= w->left->height) continue;
-        const size_t at = (size_t)(y + k) * width;
-        const float *restrict g = w->slope + at, *restrict r = w->residual + at, *restrict n = w->with + at;
-        for (size_t x = 0; x < width; x++) {
-            sum[x] += n[x];
-            sum[width + x] += g[x];
-            sum[2 * width + x] += r[x];
-            sum[3 * width + x] += g[x] * g[x];
-            sum[4 * width + x] += g[x] * r[x];
-        }
-    }
+    if (y < 0 || y >= w->left->height) return;
+    const size_t at = row_of(w, y);
+    w->loops->add(column, w->slope + at, w->residual + at, w->with + at, sign, w->left->width);
 }
 
-static void sum_rows(float *restrict sum, const float *restrict column, size_t width)
+static void bend_row(const refinement *w, int y)
 {
-    for (size_t q = 0; q < 5; q++) {
-        const float *from = column + q * width;
-        float *to = sum + q * width;
-        memset(to, 0, width * sizeof *to);
-        for (size_t x = WINDOW; x + WINDOW < width; x++) {
-            float all = 0;
-            for (size_t k = 0; k < SIDE; k++) all += from[x + k - WINDOW];
-            to[x] = all;
-        }
+    const int width = w->left->width, last = w->left->height - 1;
+    const float *value = w->result->value, *here = value + row_of(w, y), *side[8] = {NULL};
+    float *bend = w->bend + row_of(w, y);
+    for (int k = 0; k < 2; k++) {
+        const int reach = 2 * k + 2, room = MIN(MIN(y, last - y), reach);
+        side[4 * k] = here - reach, side[4 * k + 1] = here + reach;
+        side[4 * k + 2] = value + row_of(w, y - room), side[4 * k + 3] = value + row_of(w, y + room);
     }
-}
-
-static void step_row(const refinement *w, const float *sum, int y)
-{
-    const size_t width = (size_t)w->left->width, at = (size_t)y * width;
-    for (size_t x = 0; x < width; x++) {
-        const float n = sum[x], value = w->result->value[at + x];
-        w->value[at + x] = value;
-        if (n < FEWEST || w->with[at + x] == 0) continue;
-        const float g = sum[width + x] / n, r = sum[2 * width + x] / n;
-        const float gg = sum[3 * width + x] - n * g * g, gr = sum[4 * width + x] - n * g * r;
-        if (!(gg > n * LEAST_SLOPE * LEAST_SLOPE)) continue;
-        const float step = -gr / gg;
-        w->value[at + x] = value + fminf(fmaxf(step, -MOST_STEP), MOST_STEP);
-        if (!w->last) continue;
-        w->result->sigma[at + x] = sqrtf(FLOOR * FLOOR + UNSETTLED * UNSETTLED * step * step);
-    }
+    memset(bend, 0, (size_t)width * sizeof *bend); /* no window reaches the border */
+    w->loops->bend(bend, here, side, REFINE_WINDOW, width - REFINE_WINDOW);
 }
 
 static void step_band(size_t index, void *user)
 {
     const refinement *w = user;
-    const size_t width = (size_t)w->left->width;
-    float *sum = malloc(10 * width * sizeof *sum);
-    w->failed[index] = !sum;
-    const int end = (int)(index + 1) * BAND;
-    for (int y = (int)index * BAND; y < end && y < w->left->height && sum; y++) {
-        sum_columns(sum + 5 * width, w, y);
-        sum_rows(sum, sum + 5 * width, width);
-        step_row(w, sum, y);
+    const int width = w->left->width;
+    const size_t sums = REFINE_SUMS * (size_t)width;
+    int32_t *column = calloc(2 * sums + 2 * (size_t)width, sizeof *column), *sum = column + sums;
+    int y, end;
+    w->failed[index] = !column;
+    if (!column) return;
+    band_of(&y, &end, w, index);
+    for (int k = y - REFINE_WINDOW; k < y + REFINE_WINDOW; k++) add_row(column, w, k, 1);
+    for (; y < end; y++) {
+        const size_t at = row_of(w, y);
+        add_row(column, w, y + REFINE_WINDOW, 1);
+        for (int k = 0; k < REFINE_SUMS; k++)
+            w->loops->across(sum + k * width, column + k * width, sum + REFINE_SUMS * width, width);
+        add_row(column, w, y - REFINE_WINDOW, -1);
+        w->loops->step(w->value + at, w->result->value + at, sum, w->with + at, width);
+        if (!w->last) continue;
+        w->loops->vary(w->variance + at, w->weight + at, sum, w->with + at, width);
+        bend_row(w, y);
     }
-    free(sum);
+    free(column);
 }
 
-td_status dense_refine(td_disparity *result, const td_image *left, const td_image *right, int threads)
+static void trust_band(size_t index, void *user)
+{
+    const refinement *w = user;
+    int y, end;
+    for (band_of(&y, &end, w, index); y < end; y++) {
+        const size_t at = row_of(w, y);
+        const dense_trust row = {.variance = w->variance + at,
+                                 .weight = w->weight + at,
+                                 .bend = w->bend + at,
+                                 .grey = w->left->data + at,
+                                 .base = w->noise.base,
+                                 .rate = w->noise.rate,
+                                 .rows = w->lift.square};
+        w->loops->trust(w->result->sigma + at, &row, w->left->width);
+    }
+}
+
+/* Runs `task` over all bands; false: no memory. */
+static bool run(refinement *w, void (*task)(size_t, void *), int threads)
+{
+    const size_t bands = ((size_t)w->left->height + BAND - 1) / BAND;
+    bool fine = true;
+    td_parallel_for(bands, threads, task, w, NULL, NULL);
+    for (size_t k = 0; k < bands; k++) fine &= !w->failed[k];
+    return fine;
+}
+
+static bool refine(refinement *w, int threads)
+{
+    const size_t pixels = (size_t)w->left->width * (size_t)w->left->height;
+    w->gain = dense_fit_gain(w->left, w->right, w->result);
+    for (int k = 0; k < ROUNDS; k++) {
+        w->last = k + 1 == ROUNDS;
+        run(w, smooth_along, threads);
+        run(w, smooth_down, threads);
+        if (!run(w, look_band, threads)) return false;
+        if (k == 0) dense_fit_lift(&w->lift, w->left, w->slope, w->residual, w->with, threads);
+        if (!run(w, step_band, threads)) return false;
+        memcpy(w->result->value, w->value, pixels * sizeof *w->value);
+    }
+    if (!dense_fit_noise(&w->noise, w->left, w->variance)) return false;
+    return run(w, trust_band, threads);
+}
+
+td_status dense_refine(td_disparity *result, const td_image *left, const td_image *right,
+                       const dense_loops *loops, int threads)
 {
     const size_t pixels = (size_t)left->width * (size_t)left->height,
                  bands = ((size_t)left->height + BAND - 1) / BAND;
-    refinement w = {.left = left, .right = right, .result = result};
-    bool failed = false;
-    if (left->width <= SIDE) return TD_OK;
-    float *planes = malloc(4 * pixels * sizeof *planes);
+    refinement w = {.left = left, .right = right, .result = result, .loops = loops};
+    if (left->width <= REFINE_SIDE) return TD_OK;
+    float *planes = malloc(pixels * DENSE_REFINE_BYTES);
     w.failed = calloc(bands, sizeof *w.failed);
-    if (planes && w.failed) {
-        w.value = planes, w.slope = planes + pixels, w.residual = planes + 2 * pixels,
-        w.with = planes + 3 * pixels;
-        w.gain = fit_gain(&w);
-        for (int k = 0; k < ROUNDS && !failed; k++) {
-            w.last = k + 1 == ROUNDS;
-            td_parallel_for(bands, threads, smooth_along, &w, NULL, NULL);
-            td_parallel_for(bands, threads, smooth_down, &w, NULL, NULL);
-            td_parallel_for(bands, threads, look_band, &w, NULL, NULL);
-            td_parallel_for(bands, threads, step_band, &w, NULL, NULL);
-            for (size_t b = 0; b < bands; b++) failed |= w.failed[b];
-            if (!failed) memcpy(result->value, w.value, pixels * sizeof *w.value);
-        }
+    bool fine = planes && w.failed;
+    if (fine) {
+        w.value = planes, w.variance = planes + pixels, w.weight = planes + 2 * pixels;
+        w.bend = planes + 3 * pixels;
+        w.slope = (int16_t *)(planes + 4 * pixels);
+        w.residual = w.slope + pixels, w.with = w.residual + pixels;
+        fine = refine(&w, threads);
     }
-    const bool none = !planes || !w.failed;
     free(planes);
     free(w.failed);
-    return none || failed ? TD_ERROR_MEMORY : TD_OK;
+    return fine ? TD_OK : TD_ERROR_MEMORY;
 }

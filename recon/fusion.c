@@ -20,9 +20,10 @@ td_fusion_options td_fusion_options_default(void)
     return (td_fusion_options){.cell_m = 0.05,
                                .gate_sigma = 3,
                                .believe_frames = 3,
-                               .correlation_px = 5,
+                               .correlation_px = 8,
                                .repeat_share = 0.5,
-                               .place_m = 0.1,
+                               .elsewhere_share = 0.2,
+                               .place_m = 0.3,
                                .memory_bytes = (size_t)1 << 30,
                                .frame = "site"};
 }
@@ -61,6 +62,7 @@ td_status td_fusion_options_check(const td_fusion_options *o, td_error *error)
                   {"believe_frames", o->believe_frames, 1, MOST_BELIEVE},
                   {"correlation_px", o->correlation_px, 1, 1000},
                   {"repeat_share", o->repeat_share, 0, 1},
+                  {"elsewhere_share", o->elsewhere_share, 0, o->repeat_share},
                   {"place_m", o->place_m, 0, 1e6}};
     for (size_t i = 0; i < sizeof number / sizeof *number; i++)
         if (!(number[i].value >= number[i].least && number[i].value <= number[i].most))

@@ -1,11 +1,12 @@
 /* The filter of a cell.
  *
  * Two estimates of one height, e = n + c with noise n and the calibration's share c, are put together as the
- * best linear unbiased one. Their errors have in common r c1 c2 (one rig) and, when the cell's last
- * measurements come from the same place, what repeats there:
+ * best linear unbiased one. Their errors have in common r c1 c2 (one rig) and of the noise m: what repeats
+ * where the cell's last measurements come from the same place (`share` of them), and what repeats anywhere:
  *
- *   C = r c1 c2 + share repeated,   k = (V1 - C) / (V1 + V2 - 2 C),   V = noise + c^2,
- *   h = h1 + k (h2 - h1),   noise = (1 - k)^2 n1 + k^2 n2 + 2 k (1 - k) share repeated,
+ *   m = share repeated + (1 - share) anywhere,
+ *   C = r c1 c2 + m,   k = (V1 - C) / (V1 + V2 - 2 C),   V = noise + c^2,
+ *   h = h1 + k (h2 - h1),   noise = (1 - k)^2 n1 + k^2 n2 + 2 k (1 - k) m,
  *   c = (1 - k) c1 + k c2,
  *
  * k held to 0 … 1. The last line takes the calibration's errors as the same, r = 1, which is safe. For the
@@ -34,7 +35,8 @@ static void join(td_estimate *e, const td_measure *m)
     const double noise = (double)e->noise, common = (double)e->common;
     const double share = e->place == m->place ? (double)e->share : 0;
     /* No more can be in common than both have. */
-    const double repeated = fmin(share * m->repeated, sqrt(noise * m->noise));
+    const double shared = share * m->repeated + (1 - share) * m->anywhere;
+    const double repeated = fmin(shared, sqrt(noise * m->noise));
     const double both = (ALIKE + ALIKE_THERE * share) * common * m->common + repeated;
     const double own = noise + common * common - both, other = m->noise + m->common * m->common - both;
     const double k = own + other > 0 ? fmin(fmax(own / (own + other), 0), 1) : 0;

@@ -1,6 +1,6 @@
 /* The state of a map as bytes.
  *
- *   head    "teledimos fusion 1\n", an int32 1 (the order of bytes), what of the options must be the same,
+ *   head    "teledimos fusion 2\n", an int32 1 (the order of bytes), what of the options must be the same,
  *           frames, place and its pose, the length of the coordinate reference system, the number of tiles
  *   crs
  *   tiles   by y, then x: x, y, base, number of known cells; a bit for each cell; the known cells as they are
@@ -16,14 +16,14 @@
 #include "core/file.h"
 #include "recon/fusion_internal.h"
 
-static const char MAGIC[20] = "teledimos fusion 1\n";
+static const char MAGIC[20] = "teledimos fusion 2\n";
 static const char END[8] = "the end\n";
 enum { ORDER = 1, MOST_CRS = 65536, FARTHEST_TILE = 1 << 23 };
 
 typedef struct head {
     char magic[20];
     int32_t order;
-    double cell_m, region[4], gate_sigma, correlation_px, repeat_share, place_m;
+    double cell_m, region[4], gate_sigma, correlation_px, repeat_share, elsewhere_share, place_m;
     char frame[TD_NAME_SIZE];
     uint64_t frames, tiles;
     double place_q[4], place_t[3];
@@ -91,6 +91,7 @@ static head head_of(const td_fusion *f)
     h.gate_sigma = o->gate_sigma;
     h.correlation_px = o->correlation_px;
     h.repeat_share = o->repeat_share;
+    h.elsewhere_share = o->elsewhere_share;
     h.place_m = o->place_m;
     h.believe_frames = o->believe_frames;
     snprintf(h.frame, sizeof h.frame, "%s", o->frame);
@@ -180,6 +181,7 @@ static td_status check_same(const head *h, const td_fusion_options *o, const cha
                  {"believe_frames", h->believe_frames, o->believe_frames},
                  {"correlation_px", h->correlation_px, o->correlation_px},
                  {"repeat_share", h->repeat_share, o->repeat_share},
+                 {"elsewhere_share", h->elsewhere_share, o->elsewhere_share},
                  {"place_m", h->place_m, o->place_m}};
     for (size_t i = 0; i < sizeof field / sizeof *field; i++)
         if (!(field[i].there == field[i].here))

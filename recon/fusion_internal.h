@@ -35,6 +35,7 @@ typedef struct td_measure {
     double height;   /* m above the tile's base */
     double noise;    /* m^2 */
     double repeated; /* m^2, of it: the same in every frame from this place */
+    double anywhere; /* m^2, of it: the same in every frame */
     double common;   /* m */
     uint32_t place, count;
     double time_s;

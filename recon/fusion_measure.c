@@ -205,6 +205,7 @@ static td_measure measure(const td_frame_cells *c, const td_frame_tile *tile, co
     return (td_measure){.height = from[2] + cell->z - cell->slope[0] * cell->x - cell->slope[1] * cell->y,
                         .noise = matching + scatter + off + pose,
                         .repeated = c->fusion->options.repeat_share * matching + scatter + off + pose,
+                        .anywhere = c->fusion->options.elsewhere_share * matching,
                         .common = calibration(c, seen, up, cell->slope_variance),
                         .place = c->place,
                         .count = cell->count,
