@@ -142,7 +142,7 @@ static void find_slope(td_frame_cell *cell, const td_frame_cells *c, const td_fr
     const double det = xx * yy - xy * xy;
     double g[2] = {0, 0}, noise = INFINITY;
     cell->relief = 0;
-    if (n >= 3 && det > 0.05 * side * side * side * side) { /* three cells of an L have a third */
+    if (n >= 5 && det > 0.05 * side * side * side * side) {
         const double matching = mean_variance(cell, c, tile);
         g[0] = (yy * xz - xy * yz) / det;
         g[1] = (xx * yz - xy * xz) / det;
