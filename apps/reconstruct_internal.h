@@ -14,14 +14,20 @@
 
 enum { FRAME_REASON_SIZE = 400 };
 
+/* How a frame's place was found. */
+typedef enum reconstruct_place { PLACE_GIVEN, PLACE_TAGS, PLACE_MAP, PLACE_UNKNOWN } reconstruct_place;
+
 /* One frame: what is known before, and what became of it. */
 typedef struct reconstruct_frame {
     const char *name, *image[2];
-    double time_s;            /* NaN: not given */
-    double skew_s;            /* right camera's time minus the left's; 0: not given */
-    td_pose site_from_rig;    /* where the rig stood */
-    td_pose vehicle_from_rig; /* of the robot's root, with the joints as they stood */
-    const double *q;          /* (joints); NULL: no robot */
+    double time_s;         /* NaN: not given */
+    double skew_s;         /* right camera's time minus the left's; 0: not given */
+    td_pose site_from_rig; /* where the rig stood, once `place` is known */
+    reconstruct_place place;
+    double pose_covariance[36]; /* of site_from_rig, where it was found */
+    double pose_sigma[6];       /* rad, m: turns about the site's axes through the rig, and its x, y, z */
+    td_pose vehicle_from_rig;   /* of the robot's root, with the joints as they stood */
+    const double *q;            /* (joints); NULL: no robot */
     bool done, failed;
     char reason[FRAME_REASON_SIZE]; /* why it failed */
     char sha256[TD_HASH_HEX_SIZE];  /* of both images */
@@ -35,6 +41,8 @@ typedef struct reconstruct_frame {
 /* What was asked for. */
 typedef struct reconstruct_how {
     const char *rig, *prior, *output;
+    const double
+        *start; /* x, y, z of the base, m, and its heading, rad, before the first frame; NULL: unknown */
     int camera[2];
     double near_m, far_m, prior_sigma_m;
     td_dense_options dense;
@@ -76,6 +84,12 @@ extern const size_t reconstruct_gate_count;
 
 /* reconstruct_frames.c: frames with their images, poses and joints; the rig, the robot, the key. */
 td_status reconstruct_frames(reconstruct_job *work, td_error *error);
+/* reconstruct_localise.c: the place of a frame that the table does not give, by tags on the site, else by the
+ * ground it sees (its disparities, the machine left out), from where the last frame was. */
+td_status reconstruct_localise(reconstruct_job *work, size_t index, const td_disparity *disparity,
+                               td_image *const raw[2], td_error *error);
+extern const char *const reconstruct_place_name[]; /* by reconstruct_place */
+
 /* reconstruct_run.c: every frame into the map, from where an earlier run stopped. */
 td_status reconstruct_run(reconstruct_job *work, td_error *error);
 /* reconstruct_state.c: what is done is kept in DIR/state, whole or not at all. */

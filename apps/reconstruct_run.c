@@ -92,10 +92,9 @@ static void show(reconstruct_job *work, td_image **left, td_disparity **disparit
 
 static td_status take(reconstruct_job *work, reconstruct_frame *f, td_image *const raw[2], td_error *error)
 {
+    const size_t index = (size_t)(f - work->frame);
     td_image *left = NULL, *right = NULL;
     td_disparity *disparity = NULL;
-    const td_fusion_frame frame = {
-        .camera = work->depth, .site_from_rig = f->site_from_rig, .time_s = f->time_s};
     td_status status =
         td_depth_camera_rectify(&left, &right, work->depth, raw[0], raw[1], work->how->dense.threads, error);
     if (status == TD_OK) status = td_dense_match(&disparity, left, right, &work->how->dense, error);
@@ -103,10 +102,15 @@ static td_status take(reconstruct_job *work, reconstruct_frame *f, td_image *con
         keep_matched(disparity, f);
         status = mask_own_body(disparity, work, f, error);
     }
+    if (status == TD_OK) status = reconstruct_localise(work, index, disparity, raw, error);
     if (status == TD_OK) {
-        td_fusion_frame with = frame;
-        with.disparity = disparity;
-        status = td_fusion_add(work->fusion, &with, &f->tally, error);
+        const bool found = f->place != PLACE_GIVEN;
+        const td_fusion_frame frame = {.camera = work->depth,
+                                       .disparity = disparity,
+                                       .site_from_rig = f->site_from_rig,
+                                       .pose_covariance = found ? f->pose_covariance : NULL,
+                                       .time_s = f->time_s};
+        status = td_fusion_add(work->fusion, &frame, &f->tally, error);
     }
     if (status == TD_OK) show(work, &left, &disparity);
     td_image_free(&left);
