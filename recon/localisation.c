@@ -9,7 +9,7 @@
 #include "recon/fusion_internal.h"
 #include "recon/localisation_internal.h"
 
-enum { LEVELS = 3, SEARCHED = 1500, LEAST_BLOCKS = 60, STARTS = 27 };
+enum { LEVELS = 3, SEARCHED = 600, LEAST_BLOCKS = 60, STARTS = 27 };
 
 static const int RADIUS[LEVELS] = {8, 3, 0};              /* cells */
 static const double UNEVENNESS[LEVELS] = {0.06, 0.02, 0}; /* m: of rough ground against its smoothed self */

@@ -194,6 +194,7 @@ typedef struct score {
     double by[6];
     double own, map; /* m: sigma of its own height and of the map's under it */
     double x, y;     /* m, in the site */
+    bool known;
 } score;
 
 /* Hessian, what noise of the map's slopes puts into it, and the scores. */
@@ -209,7 +210,11 @@ static void hessian(double h[36], double noise[36], score *scores, int columns, 
         const double u = at.r / (scatter * sqrt(at.variance)), w = curvature(u) / at.variance;
         score *s = &scores[(size_t)r->block[i].row * (size_t)columns + (size_t)r->block[i].column];
         double arm[2][6];
-        *s = (score){.own = at.own, .map = at.map, .x = pose->t[0] + at.arm[0], .y = pose->t[1] + at.arm[1]};
+        *s = (score){.known = true,
+                     .own = at.own,
+                     .map = at.map,
+                     .x = pose->t[0] + at.arm[0],
+                     .y = pose->t[1] + at.arm[1]};
         for (int k = 0; k < 2; k++) {
             cross(arm[k], at.arm, e[k]);
             memcpy(arm[k] + 3, e[k], sizeof e[k]);
@@ -243,11 +248,11 @@ static void meat(double m[36], const score *scores, int columns, int rows, doubl
         for (int x = 0; x < columns; x++) {
             const score *s = &scores[(size_t)y * (size_t)columns + (size_t)x];
             double near[6] = {0};
-            if (s->map == 0) continue;
+            if (!s->known) continue;
             for (int v = y > BAND ? y - BAND : 0; v <= y + BAND && v < rows; v++)
                 for (int u = x > BAND ? x - BAND : 0; u <= x + BAND && u < columns; u++) {
                     const score *o = &scores[(size_t)v * (size_t)columns + (size_t)u];
-                    if (o->map == 0) continue;
+                    if (!o->known) continue;
                     const double c = shared(s, o, u - x, v - y, map_correlation_m);
                     for (int k = 0; k < 6; k++) near[k] += c * o->by[k];
                 }
