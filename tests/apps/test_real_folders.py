@@ -74,7 +74,7 @@ os.mkdir(pair)
 shutil.copy(f"{motorcycle}/motorcycle_left.png", f"{pair}/im0.png")
 shutil.copy(f"{motorcycle}/motorcycle_right.png", f"{pair}/im1.png")
 code, _, err = run("reconstruct", pair, "-o", f"{work}/none")
-check(code == 1 and "--rig" in err, "a pair without calib.txt asks for a rig")
+check(code == 2 and "--rig" in err, "a pair without calib.txt asks for a rig")
 with open(f"{pair}/calib.txt", "w") as file:
     file.write("cam0=[994.978 0 311.193; 0 994.978 254.877; 0 0 1]\ncam1=[994.978 0 342.279; 0 994.978 254.877; 0 0 1]\n"
                "doffs=31.086\nbaseline=193.001\nwidth=741\nheight=500\nndisp=70\n")
