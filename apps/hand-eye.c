@@ -34,9 +34,11 @@ static cli_option options[] = {
      "or calibrated from the same images",
      0, 0, NULL},
     {CLI_STRING, "intrinsics", 0, &intrinsics, "WHAT",
-     "held (default) at the rig's; lens: these, with the radial distortion that the views tell of where the "
-     "rig "
-     "has none; free: calibrated again from these images, with a warning when they move",
+     "held (default): as the rig has them; where it has no distortion, and the views are too few to tell of "
+     "any, sigma "
+     "holds what a lens may do; lens: with the radial distortion that the views tell of where the rig has "
+     "none; free: "
+     "calibrated again from these images, with a warning when they move",
      0, 0, holds},
     {CLI_STRING, "robot", 0, &model_name, "MODEL",
      "the robot's poses: independent (noise at the hand, estimated), field (and a smooth error over the "

@@ -17,6 +17,8 @@ enum { MOST_STREAM_VIEWS = 120 };
 #define POSE_RAD 1e-4
 #define POSE_M 1e-4
 
+#define LEAST_BEND 0.001 /* of a lens, worth a word */
+
 static td_status no_memory(td_error *error)
 {
     return td_fail(error, TD_ERROR_MEMORY, "out of memory");
@@ -173,6 +175,22 @@ static td_status check_seen(const td_observations *o, td_error *error)
                    first < slots ? o->detection[first].reason : "no image");
 }
 
+/* Poses through the rig as it is held; where it has no distortion, and the views could not tell of any, with
+ * what a lens may do to them. A lens that they do tell of is named, and is the user's to take in. */
+static td_status find_targets(td_view_pose *seen, hand_eye_job *job, td_error *error)
+{
+    const size_t used = strlen(job->rig_from);
+    double bend;
+    if (*job->lens) return td_view_poses(seen, job->rig, job->observations, error);
+    TD_TRY(td_view_poses_unsure(seen, &bend, job->rig, job->observations, error));
+    if (bend >= LEAST_BEND)
+        snprintf(
+            job->rig_from + used, sizeof job->rig_from - used,
+            "; its lens, said to have no distortion, is taken as unsure by %.1f %% at the image's corner",
+            100 * bend);
+    return TD_OK;
+}
+
 static td_status views_of_images(hand_eye_job *job, const td_robot_poses *robot, td_error *error)
 {
     td_observe_options o = {
@@ -182,7 +200,7 @@ static td_status views_of_images(hand_eye_job *job, const td_robot_poses *robot,
     TD_TRY(find_rig(job, error));
     td_view_pose *seen = calloc(job->observations->view_count + 1, sizeof *seen);
     if (!seen) return no_memory(error);
-    td_status status = td_view_poses(seen, job->rig, job->observations, error);
+    td_status status = find_targets(seen, job, error);
     if (status == TD_OK) status = pair_images(job, seen, robot, error);
     free(seen);
     return status;

@@ -4,15 +4,17 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include <unistd.h>
+
 #include "apps/reconstruct_internal.h"
-#include "core/cloud.h"
+#include "apps/reconstruct_team.h"
 #include "core/file.h"
 
-static const char *dataset_path, *rig_path, *prior_path, *region_text, *start_text, *method = "ours";
+static const char *dataset_path, *rig_path, *prior_path, *region_text, *start_text, *crs, *method = "ours";
 static cli_common common;
 static cli_list gates;
 static bool accept;
-static int gate_every = 10, levels = 0, believe = 3;
+static int gate_every = 10, levels = 0, believe = 3, memory_mb = 1024, texels = 4;
 static double start[4];
 static double near_m = 2, far_m = 20, cell_m = 0.05, prior_sigma_m = 0.5;
 
@@ -41,11 +43,22 @@ static cli_option options[] = {
      1e-3, 100, NULL},
     {CLI_STRING, "start", 0, &start_text, "X,Y,Z,HEADING",
      "where the base stands before the first frame, m and degrees, to a metre and 8 degrees: frames whose "
-     "pose "
-     "frames.csv does not give are then found on the --prior",
+     "pose frames.csv does not give are then found on the --prior",
      0, 0, NULL},
     {CLI_INT, "believe", 0, &believe, "N",
      "frames in a row that must agree that the ground has changed; default 3", 1, 100, NULL},
+    {CLI_INT, "memory", 0, &memory_mb, "MB",
+     "memory for the map's cells, 64 bytes each; what is beyond is kept in DIR/state. Default 1024. The "
+     "products do not depend on it",
+     1, 1 << 24, NULL},
+    {.type = CLI_HEADING, .name = "The products"},
+    {CLI_INT, "texels", 0, &texels, "N",
+     "of the orthophoto, along the side of a cell: 1, 2, 4 (default) or 8; 0: no orthophoto", 0, 8, NULL},
+    {CLI_STRING, "crs", 0, &crs, "EPSG:CODE",
+     "coordinate reference system of the site's x (east) and y (north), in metres: written into the "
+     "products; "
+     "default: the prior map's",
+     0, 0, NULL},
     {.type = CLI_HEADING, .name = "The quality gate"},
     {CLI_INT, "look", 0, &gate_every, "N",
      "look at the epipolar residual of the first and each N-th frame; default 10; 0: never", 0, 1000000,
@@ -53,7 +66,8 @@ static cli_option options[] = {
     {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
     {CLI_FLAG, "accept", 0, &accept, NULL, "end with status 0 even when the gate refuses", 0, 0, NULL},
     CLI_COMMON_OPTIONS(common,
-                       "folder for the products: map.tif, map.ply, result.yaml, report.html, log.jsonl",
+                       "folder for the products: map.tif, orthophoto.tif, map.ply, map.las, map.glb, "
+                       "result.yaml, report.html, log.jsonl",
                        "this job draws none"),
 };
 
@@ -70,15 +84,24 @@ static cli_command command = {
         "angles in frames.csv) the machine's own arm is left out.\n\n"
         "A frame without a pose is located by tags on the site (site_tags in dataset.yaml), or else by the "
         "ground it sees, from where the last frame was; one that cannot be is named and left out. DATASET "
-        "may "
-        "also be a folder in EuRoC's layout, or a pair in Middlebury's.\n\n"
+        "may also be a folder in EuRoC's layout, or a pair in Middlebury's.\n\n"
+        "Products: map.tif (GeoTIFF: height, sigma, count, provenance, time), orthophoto.tif (GeoTIFF, "
+        "RGBA), "
+        "map.ply and map.las (the cells as points with colour and sigma), map.glb (glTF: the surface with "
+        "the "
+        "orthophoto on it, Y up, origin in its extras), report.html.\n\n"
+        "An image may be a picture of a video: left.mp4#120 in frames.csv is the one after 120 others. The "
+        "two cameras' times (columns NAME_time_s, or the videos' own) are compared: what moves in between "
+        "is wrong in depth.\n\n"
         "Run again after an interruption or a kill, it goes on where it stopped, and ends with the same "
-        "bytes. A "
-        "frame that fails is named, the others go on, and the exit status is 3. Exit status: 0 done, 1 "
-        "failed, 2 "
-        "wrong usage, 3 the gate refuses the result (--accept).",
+        "bytes. A frame that fails is named, the others go on, and the exit status is 3. Started by "
+        "mpirun, or by Slurm's srun --mpi=pmix, its processes share the frames, on as many machines as see "
+        "the dataset's folder; the bytes are the same again. mpirun binds each to a processor unless told "
+        "--bind-to none.\n\n"
+        "Exit status: 0 done, 1 failed, 2 wrong usage, 3 the gate refuses the result (--accept).",
     .examples = "  teledimos render datasets/site-trench -o site --frames 1..3\n"
-                "  teledimos reconstruct site -o map\n",
+                "  teledimos reconstruct site -o map\n"
+                "  mpirun -n 2 teledimos reconstruct site -o map\n",
     .option = options,
     .option_count = sizeof options / sizeof *options,
     .least = 0,
@@ -122,82 +145,78 @@ static td_status parse_start(td_error *error)
     return TD_OK;
 }
 
-/* The cells as points, for viewers of clouds; grey by height. */
-static td_status write_cloud(const td_elevation *map, const char *path, td_error *error)
+static td_status prepare(reconstruct_job *work, gate_row *rows, td_dataset **dataset, td_error *error)
 {
-    size_t cells = (size_t)map->columns * (size_t)map->rows, n = 0;
-    td_cloud *cloud = NULL;
-    char comment[TD_NAME_SIZE + 40];
-    for (size_t i = 0; i < cells; i++) n += isfinite(map->height[i]);
-    TD_TRY(td_cloud_new(&cloud, n, 0, error));
-    n = 0;
-    for (size_t i = 0; i < cells; i++) {
-        if (!isfinite(map->height[i])) continue;
-        td_cloud_point *p = &cloud->point[n++];
-        p->p[0] = map->origin[0] + (double)(i % (size_t)map->columns) * map->cell_m;
-        p->p[1] = map->origin[1] + (double)(i / (size_t)map->columns) * map->cell_m;
-        p->p[2] = map->height[i];
-        p->sigma = map->sigma[i];
-        p->rgb[0] = p->rgb[1] = p->rgb[2] = 160;
-    }
-    snprintf(comment, sizeof comment, "frame %s, unit m", map->frame);
-    td_status status = td_cloud_write_ply(cloud, path, comment, error);
-    td_cloud_free(&cloud);
-    return status;
-}
-
-static td_status write_files(const reconstruct_job *work, job *j)
-{
-    char *map = job_path(j, "map.tif"), *cloud = job_path(j, "map.ply");
-    td_status status = map && cloud ? td_elevation_write(work->map, map, &j->error) : TD_ERROR_MEMORY;
-    if (status == TD_OK) status = write_cloud(work->map, cloud, &j->error);
-    free(map);
-    free(cloud);
-    return status;
+    for (size_t i = 0; i < gates.count; i++)
+        TD_TRY(gate_set(rows, reconstruct_gate_count, gates.value[i], error));
+    if (!dataset_path)
+        return td_fail(error, TD_ERROR_ARGUMENT, "DATASET is missing (usage: teledimos %s %s)", command.name,
+                       command.usage);
+    if (texels != 0 && texels != 1 && texels != 2 && texels != 4 && texels != 8)
+        return td_fail(error, TD_ERROR_ARGUMENT, "--texels: must be 0, 1, 2, 4 or 8, not %d", texels);
+    TD_TRY(reconstruct_crs(work, NULL, error));
+    if (!(near_m < far_m)) return td_fail(error, TD_ERROR_ARGUMENT, "--near must be below --far");
+    TD_TRY(parse_region(work->how->fusion.region, error));
+    TD_TRY(parse_start(error));
+    if (start_text) work->how->start = start;
+    TD_TRY(td_dataset_read(dataset, dataset_path, error));
+    work->dataset = *dataset;
+    TD_TRY(reconstruct_frames(work, error));
+    snprintf(work->how->fusion.frame, sizeof work->how->fusion.frame, "%s",
+             work->has_poses          ? "site"
+             : work->rig->has_vehicle ? "vehicle"
+                                      : "rig");
+    TD_TRY(reconstruct_prepare(work, error));
+    return team_rank() == 0 ? reconstruct_begin(work, error) : TD_OK;
 }
 
 static td_status run(reconstruct_job *work, job *j, td_dataset **dataset)
 {
     gate_row rows[8];
     memcpy(rows, reconstruct_gate_defaults, reconstruct_gate_count * sizeof *rows);
-    for (size_t i = 0; i < gates.count; i++)
-        TD_TRY(gate_set(rows, reconstruct_gate_count, gates.value[i], &j->error));
-    if (!dataset_path)
-        return td_fail(&j->error, TD_ERROR_ARGUMENT, "DATASET is missing (usage: teledimos %s %s)",
-                       command.name, command.usage);
-    if (!(near_m < far_m)) return td_fail(&j->error, TD_ERROR_ARGUMENT, "--near must be below --far");
-    TD_TRY(parse_region(work->how->fusion.region, &j->error));
-    TD_TRY(parse_start(&j->error));
-    if (start_text) work->how->start = start;
-    TD_TRY(td_dataset_read(dataset, dataset_path, &j->error));
-    work->dataset = *dataset;
-    TD_TRY(reconstruct_frames(work, &j->error));
-    snprintf(work->how->fusion.frame, sizeof work->how->fusion.frame, "%s",
-             work->has_poses          ? "site"
-             : work->rig->has_vehicle ? "vehicle"
-                                      : "rig");
-    TD_TRY(td_folder_make(common.output, &j->error));
+    td_status status = prepare(work, rows, dataset, &j->error);
+    TD_TRY(team_agree(status, work->key, &work->resumed, &j->error));
+    if (team_rank() > 0) return team_serve(work, work->resumed, &j->error);
     TD_TRY(reconstruct_run(work, &j->error));
     reconstruct_judge(work, rows);
     if (terminal_interrupted())
         return td_fail(&j->error, TD_ERROR_CANCELLED, "interrupted: run again to go on");
-    TD_TRY(write_files(work, j));
+    TD_TRY(reconstruct_products(work, j));
     const job_output output = {reconstruct_report, reconstruct_table, work};
     return job_finish(j, reconstruct_result(work), &output);
 }
 
-int main(int argc, char **argv)
+/* Several processes on one machine share its processors. */
+static int threads_here(void)
 {
-    job j;
-    for (size_t i = 0; i < command.option_count; i++)
-        if (options[i].target == &gates) options[i].help = gate_help();
-    int code =
-        job_begin(&j, &command, &common, reconstruct_schema, reconstruct_schema_count, true, argc, argv);
-    if (code >= 0) return code;
+    const long processors = sysconf(_SC_NPROCESSORS_ONLN);
+    if (common.threads || team_neighbours() == 1) return common.threads;
+    return processors > team_neighbours() ? (int)processors / team_neighbours() : 1;
+}
+
+static void set_parts(reconstruct_how *how, const char *tiles)
+{
+    how->dense.method = strcmp(method, "opencv") == 0 ? TD_DENSE_OPENCV : TD_DENSE_OURS;
+    how->dense.levels = levels;
+    how->dense.refine = true;
+    how->fusion.correlation_px = 9; /* the window over which disparities are refined */
+    how->fusion.place_m = 1;
+    how->fusion.repeat_share = 0.8;
+    how->dense.threads = how->fusion.threads = threads_here();
+    how->fusion.cell_m = cell_m;
+    how->fusion.believe_frames = believe;
+    how->fusion.memory_bytes = (size_t)memory_mb << 20;
+    how->fusion.folder = tiles;
+}
+
+static int work_for(job *j)
+{
     td_dataset *dataset = NULL;
     reconstruct_how how = {.rig = rig_path,
                            .prior = prior_path,
                            .output = common.output,
+                           .crs = crs,
+                           .texels = texels,
                            .camera = {0, 1},
                            .near_m = near_m,
                            .far_m = far_m,
@@ -205,21 +224,31 @@ int main(int argc, char **argv)
                            .dense = td_dense_options_default(),
                            .fusion = td_fusion_options_default(),
                            .gate_every = gate_every,
-                           .progress = &j.progress,
-                           .log = &j.log};
-    how.dense.method = strcmp(method, "opencv") == 0 ? TD_DENSE_OPENCV : TD_DENSE_OURS;
-    how.dense.levels = levels;
-    how.dense.refine = true;
-    how.fusion.correlation_px = 9; /* the window over which disparities are refined */
-    how.fusion.place_m = 1;
-    how.fusion.repeat_share = 0.8;
-    how.dense.threads = how.fusion.threads = common.threads;
-    how.fusion.cell_m = cell_m;
-    how.fusion.believe_frames = believe;
+                           .progress = &j->progress,
+                           .log = &j->log};
+    char *tiles = job_path(j, "state/tiles");
+    set_parts(&how, tiles);
     reconstruct_job work = {.how = &how};
-    td_status status = run(&work, &j, &dataset);
-    code = job_end(&j, status, work.gate.verdict == VERDICT_REFUSED && !accept);
+    td_status status = tiles ? run(&work, j, &dataset) : TD_ERROR_MEMORY;
+    int code = job_end(j, status, work.gate.verdict == VERDICT_REFUSED && !accept);
     reconstruct_free(&work);
+    if (tiles) rmdir(tiles);
     td_dataset_free(&dataset);
+    free(tiles);
     return code;
+}
+
+int main(int argc, char **argv)
+{
+    job j;
+    td_error error = {0};
+    if (!team_start(&error)) {
+        cli_complain(command.name, "%s", error.message);
+        return EXIT_FAILED;
+    }
+    for (size_t i = 0; i < command.option_count; i++)
+        if (options[i].target == &gates) options[i].help = gate_help();
+    int code =
+        job_begin(&j, &command, &common, reconstruct_schema, reconstruct_schema_count, true, argc, argv);
+    return team_end(code >= 0 ? code : work_for(&j));
 }

@@ -132,7 +132,8 @@ static td_status read_skew(reconstruct_job *work, const td_csv *csv, td_error *e
         snprintf(name, sizeof name, "%s_time_s", work->rig->camera[work->how->camera[side]].name);
         column[side] = td_csv_column(csv, name);
     }
-    if (column[0] < 0 || column[1] < 0) return TD_OK;
+    work->has_skew = column[0] >= 0 && column[1] >= 0;
+    if (!work->has_skew) return TD_OK;
     for (size_t i = 0; i < work->count; i++) {
         double t[2];
         for (int side = 0; side < 2; side++)

@@ -223,19 +223,28 @@ static td_status solve(reconstruct_frame *f, sights *s, td_error *error)
     return TD_OK;
 }
 
-static td_status by_tags(reconstruct_job *work, reconstruct_frame *f, td_image *const raw[2], td_error *error)
+static td_status look_for_tags(sights *s, int side, reconstruct_job *work, const char *path, td_error *error)
+{
+    const td_rig_camera *c = &work->rig->camera[work->how->camera[side]];
+    td_image *image = NULL;
+    double time_s;
+    s->camera[side] = &c->camera;
+    s->camera_from_rig[side] = c->camera_from_rig;
+    TD_TRY(reconstruct_image_read(&image, &time_s, &work->video[side], path, 1, error));
+    td_status status = td_tags_detect(&s->seen[side], image, s->target, error);
+    td_image_free(&image);
+    for (size_t k = 0; status == TD_OK && k < s->seen[side].count; k++)
+        s->used[k / CORNERS] |= s->seen[side].sigma[k] > 0;
+    return status;
+}
+
+static td_status by_tags(reconstruct_job *work, reconstruct_frame *f, td_error *error)
 {
     sights s = {.target = &work->dataset->site_tags,
                 .tag_sigma = {work->dataset->site_tags_sigma_rad, work->dataset->site_tags_sigma_m}};
     td_status status = TD_OK;
-    for (int side = 0; side < SIDES && status == TD_OK; side++) {
-        const td_rig_camera *c = &work->rig->camera[work->how->camera[side]];
-        s.camera[side] = &c->camera;
-        s.camera_from_rig[side] = c->camera_from_rig;
-        status = td_tags_detect(&s.seen[side], raw[side], s.target, error);
-        for (size_t k = 0; status == TD_OK && k < s.seen[side].count; k++)
-            s.used[k / CORNERS] |= s.seen[side].sigma[k] > 0;
-    }
+    for (int side = 0; side < SIDES && status == TD_OK; side++)
+        status = look_for_tags(&s, side, work, f->image[side], error);
     if (status == TD_OK) status = solve(f, &s, error);
     for (int side = 0; side < SIDES; side++) td_detection_free(&s.seen[side]);
     return status;
@@ -289,14 +298,14 @@ static td_status by_ground(reconstruct_job *work, size_t index, const td_dispari
 }
 
 td_status reconstruct_localise(reconstruct_job *work, size_t index, const td_disparity *disparity,
-                               td_image *const raw[2], td_error *error)
+                               td_error *error)
 {
     reconstruct_frame *f = &work->frame[index];
     td_error tags = {0}, ground = {0};
     if (f->place != PLACE_UNKNOWN) return TD_OK;
     td_status status = TD_ERROR_DATA;
     const bool marked = work->dataset->site_tags.tag_count > 0;
-    if (marked) status = by_tags(work, f, raw, &tags);
+    if (marked) status = by_tags(work, f, &tags);
     if (status == TD_ERROR_DATA) status = by_ground(work, index, disparity, &ground);
     if (status == TD_OK) return TD_OK;
     if (status == TD_ERROR_MEMORY) return td_fail(error, status, "no memory to locate frame %s", f->name);

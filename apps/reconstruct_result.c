@@ -14,8 +14,12 @@ const gate_row reconstruct_gate_defaults[] = {
      "moved since they were calibrated, and heights with them"},
     {"failed_share", 0, 0,
      "frames that could not be used, over frames: a map without them may lack a part of the site"},
+    {"skew_px", 0.1, 0.5,
+     "pixels that what is nearest moves between the two cameras' times, by the motion of the base from frame "
+     "to frame, worst frame: as much is wrong in disparity"},
     {"skew_s", 0.001, 0.005,
-     "difference of the two cameras' times, worst frame: at 0.5 m/s, 5 ms are 2.5 mm"},
+     "the same where times or poses do not tell the motion: difference of the times; at 0.5 m/s, 5 ms are "
+     "2.5 mm"},
     {"sigma_m", 0.05, 0.2, "median standard deviation of the heights"},
 };
 const size_t reconstruct_gate_count = sizeof reconstruct_gate_defaults / sizeof *reconstruct_gate_defaults;
@@ -26,6 +30,7 @@ const td_schema_row reconstruct_schema[] = {
     {"dataset", TD_SCHEMA_STRING, true, false, "name"},
     {"cameras", TD_SCHEMA_STRINGS, true, false, "of the rig: left, right"},
     {"frame", TD_SCHEMA_STRING, true, false, "of the map: site, vehicle or rig"},
+    {"crs", TD_SCHEMA_STRING, true, true, "coordinate reference system of the products; null: none"},
     {"verdict", TD_SCHEMA_STRING, true, false, "accepted, warned or refused"},
     {"reasons", TD_SCHEMA_STRINGS, true, false, "sentences behind the verdict"},
     {"map", TD_SCHEMA_OBJECT, true, false, "elevation map"},
@@ -35,7 +40,8 @@ const td_schema_row reconstruct_schema[] = {
     {"map.cells", TD_SCHEMA_INT, true, false, "with a height"},
     {"map.share_measured", TD_SCHEMA_REAL, true, true, "of them that images measured; null: there is none"},
     {"map.rms_m", TD_SCHEMA_REAL, true, true,
-     "RMS of the heights' standard deviations; null where the rig has no covariance"},
+     "RMS of the points' heights above the cells that they became part of, slope taken off, when they were "
+     "fused; null: no point"},
     {"map.sigma_median_m", TD_SCHEMA_REAL, true, true, "median of them"},
     {"map.height_m", TD_SCHEMA_REALS, true, true, "lowest and highest"},
     {"frames", TD_SCHEMA_OBJECT, true, false, "what went in"},
@@ -61,7 +67,15 @@ const td_schema_row reconstruct_schema[] = {
     {"epipolar_px", TD_SCHEMA_REAL, true, true, "worst frame looked at; null: too few matches"},
     {"seconds", TD_SCHEMA_REAL, true, false, "wall-clock time of this run"},
     {"products", TD_SCHEMA_OBJECT, true, false, "files in the folder"},
-    {"products.*", TD_SCHEMA_STRING, true, false, "file name"},
+    {"products.map", TD_SCHEMA_STRING, true, false,
+     "GeoTIFF, cloud-optimised: height, sigma, count, provenance, time"},
+    {"products.orthophoto", TD_SCHEMA_STRING, false, false, "GeoTIFF, cloud-optimised: RGBA"},
+    {"products.cloud", TD_SCHEMA_STRING, true, false, "PLY: the cells as points, colour, sigma"},
+    {"products.las", TD_SCHEMA_STRING, true, false, "LAS 1.4: the same, sigma as an extra dimension"},
+    {"products.mesh", TD_SCHEMA_STRING, false, false, "binary glTF: the surface with the orthophoto on it"},
+    {"products.result", TD_SCHEMA_STRING, true, false, "this"},
+    {"products.report", TD_SCHEMA_STRING, true, false, "for people"},
+    {"products.log", TD_SCHEMA_STRING, true, false, "messages, a JSON object a line"},
 };
 const size_t reconstruct_schema_count = sizeof reconstruct_schema / sizeof *reconstruct_schema;
 
@@ -78,14 +92,14 @@ static int by_value(const void *a, const void *b)
 
 typedef struct map_figures {
     size_t cells, measured;
-    double rms_sigma, median_sigma, low, high;
+    double median_sigma, low, high;
 } map_figures;
 
 static map_figures measure(const td_elevation *map)
 {
     size_t all = (size_t)map->columns * (size_t)map->rows, n = 0;
-    map_figures m = {.rms_sigma = NAN, .median_sigma = NAN, .low = INFINITY, .high = -INFINITY};
-    double *sigma = malloc((all + 1) * sizeof *sigma), square = 0;
+    map_figures m = {.median_sigma = NAN, .low = INFINITY, .high = -INFINITY};
+    double *sigma = malloc((all + 1) * sizeof *sigma);
     for (size_t i = 0; i < all; i++) {
         if (!isfinite(map->height[i])) continue;
         m.cells++;
@@ -93,16 +107,24 @@ static map_figures measure(const td_elevation *map)
         m.low = fmin(m.low, map->height[i]);
         m.high = fmax(m.high, map->height[i]);
         if (!sigma || !isfinite(map->sigma[i])) continue;
-        square += (double)map->sigma[i] * map->sigma[i];
         sigma[n++] = map->sigma[i];
     }
     if (n) {
         qsort(sigma, n, sizeof *sigma, by_value);
         m.median_sigma = sigma[n / 2];
-        m.rms_sigma = sqrt(square / (double)n);
     }
     free(sigma);
     return m;
+}
+
+double reconstruct_rms(const reconstruct_job *work)
+{
+    double square = 0, points = 0;
+    for (size_t i = 0; i < work->count; i++) {
+        square += work->frame[i].tally.square_m2;
+        points += (double)work->frame[i].tally.believed;
+    }
+    return points > 0 ? sqrt(square / points) : NAN;
 }
 
 static size_t count_failed(const reconstruct_job *work)
@@ -116,20 +138,29 @@ static void judge_frames(reconstruct_job *work, const gate_row *rows)
 {
     gate_result *g = &work->gate;
     size_t failed = count_failed(work);
-    double skew = 0;
+    double skew_s = 0, skew_px = 0;
     const reconstruct_frame *first = NULL;
     for (size_t i = 0; i < work->count; i++) {
-        skew = fmax(skew, fabs(work->frame[i].skew_s));
-        if (work->frame[i].failed && !first) first = &work->frame[i];
+        const reconstruct_frame *f = &work->frame[i];
+        if (isnan(f->skew_px))
+            skew_s = fmax(skew_s, fabs(f->skew_s));
+        else
+            skew_px = fmax(skew_px, f->skew_px);
+        if (f->failed && !first) first = f;
     }
     if (failed)
         gate_check(g, rows, reconstruct_gate_count, "failed_share", (double)failed / (double)work->count,
                    "%zu of %zu frames could not be used; the first, %s: %s", failed, work->count, first->name,
                    first->reason);
-    if (skew > 0)
-        gate_check(g, rows, reconstruct_gate_count, "skew_s", skew,
+    if (skew_px > 0)
+        gate_check(g, rows, reconstruct_gate_count, "skew_px", skew_px,
+                   "the two cameras' times differ so much that the nearest ground moves by up to %.2f px in "
+                   "between: trigger both together, or stand still",
+                   skew_px);
+    if (skew_s > 0)
+        gate_check(g, rows, reconstruct_gate_count, "skew_s", skew_s,
                    "the two cameras' times differ by up to %.1f ms: what moved in between is wrong in depth",
-                   1e3 * skew);
+                   1e3 * skew_s);
 }
 
 void reconstruct_judge(reconstruct_job *work, const gate_row *rows)
@@ -167,7 +198,7 @@ static json_t *map_json(const reconstruct_job *work)
     set(o, "cell_m", td_json_real(work->map->cell_m));
     set(o, "cells", json_integer((json_int_t)m.cells));
     set(o, "share_measured", td_json_real(m.cells ? (double)m.measured / (double)m.cells : NAN));
-    set(o, "rms_m", td_json_real(m.rms_sigma));
+    set(o, "rms_m", td_json_real(reconstruct_rms(work)));
     set(o, "sigma_median_m", td_json_real(m.median_sigma));
     set(o, "height_m", m.cells ? td_json_reals(range, 2) : json_null());
     return o;
@@ -222,6 +253,7 @@ json_t *reconstruct_result(const reconstruct_job *work)
         json_pack("[s, s]", work->rig->camera[work->pair.left].name,
                   work->rig->camera[work->pair.right].name));
     set(root, "frame", json_string(work->map->frame));
+    set(root, "crs", work->map->crs ? json_string(work->map->crs) : json_null());
     set(root, "verdict", json_string(verdict_name(work->gate.verdict)));
     for (size_t i = 0; i < work->gate.count; i++)
         json_array_append_new(reasons, json_string(work->gate.reason[i]));
@@ -234,9 +266,7 @@ json_t *reconstruct_result(const reconstruct_job *work)
     set(root, "cleared", json_integer((json_int_t)t.cleared));
     set(root, "epipolar_px", td_json_real(work->rms_epipolar_px));
     set(root, "seconds", td_json_real(work->seconds));
-    set(root, "products",
-        json_pack("{s:s, s:s, s:s, s:s, s:s}", "map", "map.tif", "cloud", "map.ply", "result", "result.yaml",
-                  "report", "report.html", "log", "log.jsonl"));
+    set(root, "products", reconstruct_product_names(work));
     return root;
 }
 
@@ -261,7 +291,9 @@ void reconstruct_table(const void *found)
            work->map->cell_m, m.cells);
     if (m.cells) printf(" from %.3f to %.3f m", m.low, m.high);
     if (isfinite(m.median_sigma)) printf(", median sigma %.1f mm", 1e3 * m.median_sigma);
-    if (work->resumed) printf("\n%zu frames were taken over from an earlier run", work->resumed);
-    printf("\n\nverdict: %s\n", verdict_name(work->gate.verdict));
+    if (isfinite(reconstruct_rms(work)))
+        printf(";\npoints lie %.1f mm (RMS) from it", 1e3 * reconstruct_rms(work));
+    reconstruct_summary(work);
+    printf("\nverdict: %s\n", verdict_name(work->gate.verdict));
     for (size_t i = 0; i < work->gate.count; i++) printf("  - %s\n", work->gate.reason[i]);
 }

@@ -71,6 +71,17 @@ static int find_command(char *path, size_t size, const char *name)
     return snprintf(path, size, "%s/libexec/teledimos/%s", self, name) < (int)size;
 }
 
+/* Whether mpirun, or Slurm's srun, has started several of us: then a command's MPI program is run. */
+static int is_one_of_many(void)
+{
+    static const char *const sizes[] = {"OMPI_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS"};
+    for (size_t i = 0; i < sizeof sizes / sizeof *sizes; i++) {
+        const char *size = getenv(sizes[i]);
+        if (size && atoi(size) > 1) return 1;
+    }
+    return 0;
+}
+
 int main(int argc, char **argv)
 {
     if (argc < 2 || strcmp(argv[1], "--help") == 0 || strcmp(argv[1], "-h") == 0 ||
@@ -89,13 +100,14 @@ int main(int argc, char **argv)
     for (int i = 0; i < COMMAND_COUNT; i++) {
         if (strcmp(argv[1], commands[i].name) != 0) continue;
         char path[PATH_MAX];
-        if (!find_command(path, sizeof path, argv[1])) {
+        const int many = is_one_of_many() && strcmp(argv[1], "reconstruct") == 0;
+        if (!find_command(path, sizeof path, many ? "reconstruct-mpi" : argv[1])) {
             fprintf(stderr, "teledimos: the place of the program cannot be found\n");
             return 1;
         }
         execv(path, argv + 1);
-        fprintf(stderr, "teledimos: %s cannot be run: %s; is the installation complete?\n", path,
-                strerror(errno));
+        fprintf(stderr, "teledimos: %s cannot be run: %s; is the installation complete%s?\n", path,
+                strerror(errno), many ? ", and was it built with Open MPI (libopenmpi-dev)" : "");
         return 1;
     }
     fprintf(stderr, "teledimos: there is no command '%s' (see teledimos --help)\n", argv[1]);

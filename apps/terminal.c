@@ -90,8 +90,9 @@ static void draw_bar(terminal *t, const char *stage, size_t done, size_t total, 
     bar[WIDTH] = 0;
     double elapsed = now - t->stage_started_s;
     fprintf(stderr, "\r\033[K%-28s [%s] %zu/%zu", stage, bar, done, total);
-    if (done && done < total && elapsed > 0.5)
-        fprintf(stderr, "  %.0f s left", elapsed / (double)done * (double)(total - done) + 0.5);
+    if (done > t->stage_first && done < total && elapsed > 0.5)
+        fprintf(stderr, "  %.0f s left",
+                elapsed / (double)(done - t->stage_first) * (double)(total - done) + 0.5);
     fflush(stderr);
     t->bar_shown = true;
     t->last_drawn_s = now;
@@ -104,6 +105,7 @@ static bool report(const char *stage, size_t done, size_t total, void *user)
     double now = terminal_now_s();
     if (!t->stage || strcmp(t->stage, stage) != 0) {
         t->stage = stage;
+        t->stage_first = done;
         t->stage_started_s = now;
         t->last_drawn_s = now; /* short work shows no bar at all */
     }

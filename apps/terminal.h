@@ -12,6 +12,7 @@ typedef struct terminal {
     bool quiet, verbose, is_tty, bar_shown;
     FILE *log_file; /* log.jsonl; NULL: none yet */
     const char *stage;
+    size_t stage_first; /* units that were done when it began: work that is taken up again */
     double stage_started_s, last_drawn_s, started_s;
 } terminal;
 

@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "calib/view_poses.h"
+#include "calib/unsure_lens_internal.h"
 #include "core/linalg.h"
 
 enum { MOST_GROUPS = 10, LEAST_VIEWS = 6, LEAST_POINTS = 4, MOST_ITERATIONS = 30, FIRST_TERM = 4 };
@@ -244,15 +244,6 @@ static void write_down(td_lens_check *check, const verdict model[TD_LENS_TERMS +
              m->term[0], m->sigma[0], second, m->held_out_px, model[0].held_out_px);
 }
 
-static bool is_plain(const td_camera *camera)
-{
-    if (camera->model == TD_CAMERA_PINHOLE) return true;
-    if (camera->model != TD_CAMERA_BROWN5) return false;
-    for (int k = FIRST_TERM; k < td_camera_parameter_count(camera->model); k++)
-        if (camera->parameter[k] != 0) return false;
-    return true;
-}
-
 /* The views that the camera sees, and where; l->view and l->pose hold all views. */
 static td_status find_views(lens *l, const td_rig *rig, const td_rig_camera *camera, td_error *error)
 {
@@ -300,7 +291,7 @@ td_status td_lens_check_make(td_lens_check *check, const td_rig *rig, int camera
         return td_fail(error, TD_ERROR_DATA, "the rig has no camera %s: names must agree",
                        observations->camera[camera].name);
     check->camera = rig->camera[k].camera;
-    if (!is_plain(&check->camera)) {
+    if (!td_camera_is_plain(&check->camera)) {
         snprintf(check->text, sizeof check->text, "the camera has distortion of its own");
         return TD_OK;
     }

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "calib/bundle_internal.h"
+#include "calib/unsure_lens_internal.h"
 #include "core/linalg.h"
 
 /* Points farther out than this many usual residuals are left out, where as many as this remain. */
@@ -198,7 +199,7 @@ static void count_points(td_view_pose *pose, const td_bundle *b, size_t view)
     pose->rms_px = pose->points ? sqrt(cost_of(b, view) / (double)pose->points) : NAN;
 }
 
-static td_status fit(td_view_pose *pose, td_bundle *b, const td_rig *rig, td_error *error)
+static td_status fit(td_view_pose *pose, double *bend, td_bundle *b, const td_rig *rig, td_error *error)
 {
     const td_observations *o = b->observations;
     size_t views = 0, points = td_target_point_count(&o->target);
@@ -222,18 +223,21 @@ static td_status fit(td_view_pose *pose, td_bundle *b, const td_rig *rig, td_err
     for (int c = 0; c < o->camera_count && status == TD_OK; c++) b->noise[c] = common_noise(b, seen);
     b->own_sigma = true;
     if (status == TD_OK) status = covariances(pose, b, error);
+    if (status == TD_OK && bend && !rig->covariance)
+        status = td_unsure_lens_refine(pose, bend, b, b->noise[0], error);
     free(seen);
     free(work);
     return status;
 }
 
-td_status td_view_poses(td_view_pose *pose, const td_rig *rig, const td_observations *observations,
-                        td_error *error)
+/* bend: NULL where the lenses are as the rig says. */
+static td_status find_poses(td_view_pose *pose, double *bend, const td_rig *rig,
+                            const td_observations *observations, td_error *error)
 {
     td_bundle b;
     for (size_t v = 0; v < observations->view_count; v++) pose[v] = (td_view_pose){.rms_px = NAN};
     TD_TRY(td_bundle_init(&b, observations, error));
-    td_status status = fit(pose, &b, rig, error);
+    td_status status = fit(pose, bend, &b, rig, error);
     int k = td_rig_find(rig, observations->camera[0].name);
     for (size_t v = 0; v < observations->view_count && status == TD_OK; v++) {
         if (!pose[v].seen) continue;
@@ -245,5 +249,20 @@ td_status td_view_poses(td_view_pose *pose, const td_rig *rig, const td_observat
         memcpy(pose[v].covariance, moved, sizeof moved);
     }
     td_bundle_free(&b);
+    return status;
+}
+
+td_status td_view_poses(td_view_pose *pose, const td_rig *rig, const td_observations *observations,
+                        td_error *error)
+{
+    return find_poses(pose, NULL, rig, observations, error);
+}
+
+td_status td_view_poses_unsure(td_view_pose *pose, double *bend, const td_rig *rig,
+                               const td_observations *observations, td_error *error)
+{
+    double found = 0;
+    td_status status = find_poses(pose, &found, rig, observations, error);
+    if (bend) *bend = found;
     return status;
 }

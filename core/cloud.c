@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/bytes_internal.h"
 #include "core/file.h"
 #include "core/text_internal.h"
 
@@ -48,26 +49,6 @@ void td_cloud_free(td_cloud **cloud)
 
 /* ---- writing ---- */
 
-/* The lowest `size` bytes of `bits`, the least first, whatever the machine's order. */
-static void put(unsigned char **at, uint64_t bits, int size)
-{
-    for (int i = 0; i < size; i++) *(*at)++ = (unsigned char)(bits >> (8 * i));
-}
-
-static void put_double(unsigned char **at, double value)
-{
-    uint64_t bits;
-    memcpy(&bits, &value, sizeof bits);
-    put(at, bits, 8);
-}
-
-static void put_float(unsigned char **at, float value)
-{
-    uint32_t bits;
-    memcpy(&bits, &value, sizeof bits);
-    put(at, bits, 4);
-}
-
 /* Each line of the comment on a line of its own, controls as '?': a header is read by lines. */
 static void add_comment(td_text *header, const char *comment)
 {
@@ -107,13 +88,13 @@ td_status td_cloud_write_ply(const td_cloud *cloud, const char *path, const char
         at += header.size;
         for (size_t i = 0; i < cloud->count; i++) {
             const td_cloud_point *p = &cloud->point[i];
-            for (int k = 0; k < 3; k++) put_double(&at, p->p[k]);
-            for (int k = 0; k < 3; k++) put(&at, p->rgb[k], 1);
-            put_float(&at, p->sigma);
+            for (int k = 0; k < 3; k++) td_put_double(&at, p->p[k]);
+            for (int k = 0; k < 3; k++) td_put(&at, p->rgb[k], 1);
+            td_put_float(&at, p->sigma);
         }
         for (size_t i = 0; i < cloud->triangle_count; i++) {
-            put(&at, 3, 1);
-            for (int k = 0; k < 3; k++) put(&at, cloud->triangle[i][k], 4);
+            td_put(&at, 3, 1);
+            for (int k = 0; k < 3; k++) td_put(&at, cloud->triangle[i][k], 4);
         }
         status = td_file_write(path, bytes, size, error);
     } else {

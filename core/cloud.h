@@ -1,5 +1,6 @@
 /* Points in space, each with a colour and how sure it is. File: PLY, binary little-endian, which CloudCompare
- * and MeshLab open (x, y, z as double m; red, green, blue; sigma as float m). */
+ * and MeshLab open (x, y, z as double m; red, green, blue; sigma as float m); or LAS, which surveyors open.
+ */
 #ifndef TELEDIMOS_CORE_CLOUD_H
 #define TELEDIMOS_CORE_CLOUD_H
 
@@ -35,6 +36,14 @@ TD_API td_status td_cloud_write_ply(const td_cloud *cloud, const char *path, con
 TD_API td_status td_cloud_read_ply(td_cloud **cloud, const char *path, td_error *error);
 /* The same from memory; `name` is for messages. */
 TD_API td_status td_cloud_parse_ply(td_cloud **cloud, const void *bytes, size_t size, const char *name,
+                                    td_error *error);
+
+/* LAS 1.4 (ASPRS 2019), point format 7 with sigma as an extra dimension of floats (m, NaN: not known), whole
+ * or not at all. Coordinates are whole steps of a tenth of a millimetre, coarser where the cloud is wider
+ * than 200 km, from an offset near its middle. `wkt` (core/crs.h) says where on Earth; NULL: nowhere. Times
+ * are 0, dates left out: the same cloud gives the same bytes. Triangles are left out. Refused: points that
+ * are not finite. */
+TD_API td_status td_cloud_write_las(const td_cloud *cloud, const char *path, const char *wkt,
                                     td_error *error);
 
 #ifdef __cplusplus

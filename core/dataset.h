@@ -35,7 +35,7 @@
  * frames.csv: a header; `frame` names the view (optional: else the row's number), a column for each camera
  * (an empty cell: no image), optional `time_s`, optional `height_m` (the board, moved along its own normal to
  * known heights while the cameras stand still: Faugeras-Toscani's target with depth). Other columns are kept
- * out. */
+ * out. `teledimos reconstruct` also takes pictures of videos: "left.mp4#120" is the one after 120 others. */
 #ifndef TELEDIMOS_CORE_DATASET_H
 #define TELEDIMOS_CORE_DATASET_H
 

@@ -1,7 +1,6 @@
 /* Elevation maps as GeoTIFF: what the bands mean. All bands are double, since a TIFF has one type for all and
  * a time in seconds or a count of 32 bits does not fit a float; heights are floats in them, which compress
  * well. */
-#include <dlfcn.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -32,21 +31,6 @@ static const struct {
 static const char *const origin_note[2] = {"TELEDIMOS_ORIGIN_X", "TELEDIMOS_ORIGIN_Y"};
 
 static const double SQUARE = 1e-6; /* cells whose sides differ by a smaller share are square */
-
-static td_status load(const td_raster_module **module, const char *path, td_error *error)
-{
-    void *library = dlopen(TD_RASTER_MODULE, RTLD_NOW | RTLD_LOCAL);
-    if (!library)
-        return td_fail(error, TD_ERROR_UNSUPPORTED, "%s: the module for maps cannot be loaded: %s", path,
-                       dlerror());
-    td_raster_module_get_function *get;
-    *(void **)&get = dlsym(library, TD_RASTER_FUNCTION);
-    if (!get)
-        return td_fail(error, TD_ERROR_UNSUPPORTED, "%s: %s has no %s", path, TD_RASTER_MODULE,
-                       TD_RASTER_FUNCTION);
-    *module = get();
-    return TD_OK;
-}
 
 /* A cell's value in a band, and back. */
 static double get(const td_elevation *map, enum band band, size_t cell)
@@ -228,7 +212,7 @@ td_status td_elevation_read(td_elevation **map, const char *path, td_error *erro
     *map = NULL;
     TD_TRY(td_file_open(&fd, path, error));
     close(fd);
-    TD_TRY(load(&r.module, path, error));
+    TD_TRY(td_raster_load(&r.module, path, error));
     if (!r.module->open(&r.raster, &r.info, path, reason))
         return td_fail(error, TD_ERROR_FORMAT, "%s: is not a GeoTIFF that can be read: %s", path, reason);
     td_status status = read_open(map, &r, error);
@@ -277,7 +261,7 @@ td_status td_elevation_write(const td_elevation *map, const char *path, td_error
                                                map->origin[1] + (map->rows - 0.5) * map->cell_m, 0,
                                                -map->cell_m},
                                  .crs = map->crs};
-    TD_TRY(load(&module, path, error));
+    TD_TRY(td_raster_load(&module, path, error));
     double *row = malloc((size_t)map->columns * sizeof *row);
     if (!row) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for a row", path);
     const bool made = module->create(&raster, &info, reason) && write_notes(module, raster, map) &&

@@ -18,6 +18,7 @@
 typedef struct raster {
     GDALDatasetH dataset;
     int columns, rows;
+    bool rgba;
     char *crs;
     uint8_t *mask; /* (columns) */
 } raster;
@@ -151,14 +152,35 @@ static bool read_row(double *value, void *made, int band, int row, char reason[T
 
 /* ---- writing ---- */
 
+/* "EPSG:32632", WKT or "+proj…": what else GDAL would take are files and addresses. */
+static bool parse_reference(OGRSpatialReferenceH made, const char *crs)
+{
+    const size_t word = strspn(crs, "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz_0123456789");
+    const char *rest = crs + word;
+    const bool code = word > 0 && rest[0] == ':' && rest[1] && !rest[1 + strspn(rest + 1, "0123456789+")];
+    const bool text = word > 0 && rest[0] == '[';
+    if (code || text || crs[0] == '+') return OSRSetFromUserInput(made, crs) == OGRERR_NONE;
+    CPLError(CE_Failure, CPLE_IllegalArg, "neither a code nor WKT nor +proj");
+    return false;
+}
+
 static bool set_reference(raster *r, const char *crs)
 {
     OGRSpatialReferenceH reference = OSRNewSpatialReference(NULL);
     OSRSetAxisMappingStrategy(reference, OAMS_TRADITIONAL_GIS_ORDER);
-    const bool fine = OSRSetFromUserInput(reference, crs) == OGRERR_NONE &&
-                      GDALSetSpatialRef(r->dataset, reference) == CE_None;
+    const bool fine = parse_reference(reference, crs) && GDALSetSpatialRef(r->dataset, reference) == CE_None;
     OSRDestroySpatialReference(reference);
     return fine;
+}
+
+/* So that viewers take the bands for a picture. */
+static bool set_colours(raster *r)
+{
+    static const GDALColorInterp colours[] = {GCI_RedBand, GCI_GreenBand, GCI_BlueBand, GCI_AlphaBand};
+    for (int i = 0; i < 4; i++)
+        if (GDALSetRasterColorInterpretation(GDALGetRasterBand(r->dataset, i + 1), colours[i]) != CE_None)
+            return false;
+    return true;
 }
 
 static bool create(void **made, const td_raster_info *info, char reason[TD_RASTER_REASON_SIZE])
@@ -170,12 +192,13 @@ static bool create(void **made, const td_raster_info *info, char reason[TD_RASTE
     if (fine) {
         r->columns = info->columns;
         r->rows = info->rows;
+        r->rgba = info->rgba;
         r->dataset = GDALCreate(GDALGetDriverByName("MEM"), "", info->columns, info->rows, info->bands,
-                                GDT_Float64, NULL);
+                                info->rgba ? GDT_Byte : GDT_Float64, NULL);
         double transform[6];
         memcpy(transform, info->transform, sizeof transform);
         fine = r->dataset && GDALSetGeoTransform(r->dataset, transform) == CE_None &&
-               (!info->crs || set_reference(r, info->crs));
+               (!info->crs || set_reference(r, info->crs)) && (!info->rgba || set_colours(r));
     }
     listened(fine, reason);
     if (fine)
@@ -211,9 +234,13 @@ static bool write_row(const double *value, void *made, int band, int row, char r
 static bool encode(unsigned char **bytes, size_t *size, void *made, char reason[TD_RASTER_REASON_SIZE])
 {
     const raster *r = made;
-    /* The nearest cell in the overviews: a mean of provenances is none. */
-    static const char *const options[] = {"COMPRESS=DEFLATE",   "LEVEL=1", "PREDICTOR=YES", "BLOCKSIZE=256",
-                                          "RESAMPLING=NEAREST", NULL};
+    /* The nearest cell in a map's overviews: a mean of provenances is none. */
+    const char *const options[] = {"COMPRESS=DEFLATE",
+                                   "LEVEL=1",
+                                   "PREDICTOR=YES",
+                                   "BLOCKSIZE=256",
+                                   r->rgba ? "RESAMPLING=AVERAGE" : "RESAMPLING=NEAREST",
+                                   NULL};
     char name[64];
     snprintf(name, sizeof name, "/vsimem/teledimos-%p.tif", made);
     listen(reason);
@@ -236,8 +263,29 @@ static void free_bytes(unsigned char *bytes)
     CPLFree(bytes);
 }
 
+static bool reference(unsigned char **wkt, td_raster_info *info, const char *crs,
+                      char reason[TD_RASTER_REASON_SIZE])
+{
+    static const char *const options[] = {"FORMAT=WKT1_GDAL", NULL};
+    char *text = NULL;
+    listen(reason);
+    OGRSpatialReferenceH made = OSRNewSpatialReference(NULL);
+    const bool fine = parse_reference(made, crs) && OSRExportToWktEx(made, &text, options) == OGRERR_NONE;
+    *info = (td_raster_info){.unit_m = 1};
+    if (fine) {
+        info->degrees = OSRIsGeographic(made);
+        info->unit_m = OSRGetLinearUnits(made, NULL);
+    } else {
+        CPLFree(text);
+        text = NULL;
+    }
+    OSRDestroySpatialReference(made);
+    *wkt = (unsigned char *)text;
+    return listened(fine, reason);
+}
+
 static const td_raster_module module = {open_raster, find_band, note,      read_row, close_raster, create,
-                                        set_note,    set_band,  write_row, encode,   free_bytes};
+                                        set_note,    set_band,  write_row, encode,   free_bytes,   reference};
 
 TD_API td_raster_module_get_function td_raster_module_get;
 

@@ -1,4 +1,4 @@
-/* What elevation_file.c and the module behind GDAL share. */
+/* What the rooms that read and write rasters share with the module behind GDAL. */
 #ifndef TELEDIMOS_CORE_ELEVATION_INTERNAL_H
 #define TELEDIMOS_CORE_ELEVATION_INTERNAL_H
 
@@ -21,6 +21,7 @@ typedef struct td_raster_info {
     const char *crs;     /* "EPSG:32632" or WKT; NULL: none. Reading: lent until close */
     bool degrees;        /* reading: coordinates are angles */
     double unit_m;       /* reading: of the coordinates; 1 without a crs */
+    bool rgba;           /* writing: red, green, blue, alpha as bytes, instead of bands of doubles */
 } td_raster_info;
 
 /* False with a reason: failed. Rows are the file's: the first is at the top. Bands count from 1. */
@@ -35,7 +36,7 @@ typedef struct td_raster_module {
     bool (*read_row)(double *value, void *raster, int band, int row, char reason[TD_RASTER_REASON_SIZE]);
     void (*close)(void *raster);
 
-    /* In memory, of double bands, nodata NaN. */
+    /* In memory; doubles have nodata NaN. */
     bool (*create)(void **raster, const td_raster_info *info, char reason[TD_RASTER_REASON_SIZE]);
     bool (*set_note)(void *raster, const char *key, const char *value);
     bool (*set_band)(void *raster, int band, const char *description, const char *unit);
@@ -44,8 +45,16 @@ typedef struct td_raster_module {
     /* As cloud-optimised GeoTIFF; *bytes to be freed with free_bytes. */
     bool (*encode)(unsigned char **bytes, size_t *size, void *raster, char reason[TD_RASTER_REASON_SIZE]);
     void (*free_bytes)(unsigned char *bytes);
+
+    /* A coordinate reference system as WKT (OGC 01-009), to be freed with free_bytes; `degrees` and `unit_m`
+     * of the info. */
+    bool (*reference)(unsigned char **wkt, td_raster_info *info, const char *crs,
+                      char reason[TD_RASTER_REASON_SIZE]);
 } td_raster_module;
 
 typedef const td_raster_module *td_raster_module_get_function(void);
+
+/* raster.c: the module; `path` is for the message. */
+td_status td_raster_load(const td_raster_module **module, const char *path, td_error *error);
 
 #endif

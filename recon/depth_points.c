@@ -180,12 +180,13 @@ td_status td_depth_camera_rectify(td_image **left, td_image **right, const td_de
                                   const td_image *raw_left, const td_image *raw_right, int threads,
                                   td_error *error)
 {
-    *left = *right = NULL;
+    *left = NULL;
+    if (right) *right = NULL;
     td_status status = rectify_one(left, camera, 0, raw_left, threads, error);
-    if (status == TD_OK) status = rectify_one(right, camera, 1, raw_right, threads, error);
+    if (status == TD_OK && right) status = rectify_one(right, camera, 1, raw_right, threads, error);
     if (status != TD_OK) {
         td_image_free(left);
-        td_image_free(right);
+        if (right) td_image_free(right);
     }
     return status;
 }

@@ -28,7 +28,7 @@ TD_API td_pose td_depth_camera_pose(const td_depth_camera *camera);
 /* Smallest disparity and number of levels, px, of depths from near_m to far_m. */
 TD_API void td_depth_camera_range(int *lowest, int *levels, const td_depth_camera *camera);
 
-/* Both images rectified, by tables made once. */
+/* Both images rectified, by tables made once; `right` NULL: the left one alone. */
 TD_API td_status td_depth_camera_rectify(td_image **left, td_image **right, const td_depth_camera *camera,
                                          const td_image *raw_left, const td_image *raw_right, int threads,
                                          td_error *error);

@@ -203,6 +203,23 @@ typedef struct work {
     size_t first;
 } work;
 
+/* How far the frame's points lie from the cells they have become part of. */
+static void add_residuals(concern *c, const td_frame_cells *frame)
+{
+    const td_frame_tile *m = c->measured;
+    const double up = frame->site_from_camera.t[2] - c->tile->base;
+    for (size_t i = 0; i < m->count; i++) {
+        const td_frame_point *p = &frame->point[m->first + i];
+        const td_cell *cell = &c->tile->cell[p->cell];
+        const td_frame_cell *seen = &m->cell[m->slot[p->cell] - 1];
+        if (cell->rival_frames > 0) continue;
+        const double off = up + (double)p->z - seen->slope[0] * (double)p->x - seen->slope[1] * (double)p->y -
+                           (double)cell->now.height;
+        c->tally.believed++;
+        c->tally.square_m2 += off * off;
+    }
+}
+
 static void apply_tile(size_t index, void *user)
 {
     const work *w = user;
@@ -217,6 +234,7 @@ static void apply_tile(size_t index, void *user)
         c->tally.gated += outcome == TD_CELL_GATED;
         c->tally.reset += outcome == TD_CELL_RESET;
     }
+    if (c->measured) add_residuals(c, w->frame);
     c->tally.cleared += td_frame_look_through(c->tile->cell, c->tile, c->measured, w->frame);
 }
 
@@ -288,6 +306,8 @@ static td_status add(td_fusion *f, td_frame_cells *c, td_fusion_tally *tally, td
             tally->gated += list[i].tally.gated;
             tally->reset += list[i].tally.reset;
             tally->cleared += list[i].tally.cleared;
+            tally->believed += list[i].tally.believed;
+            tally->square_m2 += list[i].tally.square_m2;
         }
         free(list);
         TD_TRY(status);

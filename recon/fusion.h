@@ -70,6 +70,8 @@ typedef struct td_fusion_tally {
     size_t gated;     /* of these: contradicted the cell, and not believed yet */
     size_t reset;     /* of these: believed now */
     size_t cleared;   /* others, which were looked through */
+    size_t believed;  /* points in cells that were not gated, */
+    double square_m2; /* and the sum of their squared heights above them, slope taken off, once fused */
 } td_fusion_tally;
 /* Disparities that are filled, not matched, are left out. A refused frame changes nothing; after a failure of
  * memory or of the folder the map is to be given up. `tally` may be NULL. */
@@ -88,6 +90,9 @@ TD_API size_t td_fusion_memory(const td_fusion *fusion); /* bytes of tiles in me
 /* Bytes that an area of so many m by m takes when all of it is known: in memory up to memory_bytes, else in
  * the folder. */
 TD_API double td_fusion_memory_of(double width_m, double length_m, double cell_m);
+
+/* Bytes that td_fusion_add needs at most besides, for a frame of this size. */
+TD_API size_t td_fusion_frame_memory(int width, int height);
 
 /* The whole state, to go on from after a kill: one file, whole or not at all. Loading refuses a damaged file,
  * and one made with other options, naming the first that differs (memory, folder and threads may). */

@@ -231,6 +231,12 @@ td_status td_frame_sort(td_frame_cells *cells, td_error *error)
     return status;
 }
 
+size_t td_fusion_frame_memory(int width, int height)
+{
+    const size_t sorting = sizeof(placed), cells = sizeof(td_frame_cell) + sizeof(td_measure);
+    return (size_t)width * (size_t)height * (sizeof(td_frame_point) + (sorting > cells ? sorting : cells));
+}
+
 void td_frame_free(td_frame_cells *c)
 {
     for (size_t i = 0; i < c->tile_count; i++) {

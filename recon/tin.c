@@ -18,6 +18,8 @@ static td_status check_points(const double (*xyz)[3], size_t count, td_error *er
 
 /* ---- triangles ---- */
 
+enum { FEW = 32 }; /* so many are sorted by insertion */
+
 /* A point's place in plan, for sorting. */
 typedef struct place {
     double x, y;
@@ -61,8 +63,14 @@ static bool is_before(const uint32_t a[3], const uint32_t b[3])
     return a[2] < b[2];
 }
 
-/* Each triangle from its least corner on, and all by their corners: counted out by the first, of which each
- * has few, then sorted among those. */
+static int by_corners(const void *a, const void *b)
+{
+    const uint32_t *p = a, *q = b;
+    return is_before(p, q) ? -1 : is_before(q, p);
+}
+
+/* Each triangle from its least corner on, and all by their corners: counted out by the first, then sorted
+ * among those, which are few but for the hub of a fan. */
 static bool sort_triangles(uint32_t (*triangle)[3], size_t count, size_t point_count)
 {
     size_t *begin = calloc(point_count + 2, sizeof *begin);
@@ -79,6 +87,10 @@ static bool sort_triangles(uint32_t (*triangle)[3], size_t count, size_t point_c
         memcpy(sorted[begin[triangle[i][0] + 1]++], triangle[i], sizeof *sorted);
     }
     const bool fine = begin && sorted;
+    /* begin[i + 1] has come to the end of those of point i. */
+    for (size_t i = 0; fine && i < point_count; i++)
+        if (begin[i + 1] - begin[i] > FEW)
+            qsort(sorted + begin[i], begin[i + 1] - begin[i], sizeof *sorted, by_corners);
     for (size_t i = 1; fine && i < count; i++) {
         uint32_t moving[3];
         size_t at = i;
@@ -97,17 +109,20 @@ static bool sort_triangles(uint32_t (*triangle)[3], size_t count, size_t point_c
 static bool delaunay(uint32_t (**triangles)[3], size_t *count, const double (*xyz)[3], size_t n)
 {
     uint32_t *index = malloc(n * sizeof *index);
+    double(*xy)[2] = malloc(n * sizeof *xy);
     size_t vertices = 0, kept = n;
-    bool fine = index != NULL;
+    bool fine = index && xy;
     for (size_t i = 0; fine && i < n; i++) index[i] = (uint32_t)i;
-    fine = fine && td_tin_delaunay(triangles, count, &vertices, xyz, index, n);
+    fine =
+        fine && td_tin_order(xy, index, xyz, n) && td_tin_delaunay(triangles, count, &vertices, xy, index, n);
     if (fine && vertices < n) {
         free(*triangles);
         *triangles = NULL;
-        fine = first_of_each_place(index, &kept, xyz, n) &&
-               td_tin_delaunay(triangles, count, &vertices, xyz, index, kept);
+        fine = first_of_each_place(index, &kept, xyz, n) && td_tin_order(xy, index, xyz, kept) &&
+               td_tin_delaunay(triangles, count, &vertices, xy, index, kept);
     }
     free(index);
+    free(xy);
     return fine && sort_triangles(*triangles, *count, n);
 }
 

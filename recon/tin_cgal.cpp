@@ -1,8 +1,6 @@
 // The wall around CGAL's Delaunay triangulation. Exact predicates: right at any coordinates.
 #include <cstdlib>
 #include <exception>
-#include <utility>
-#include <vector>
 
 #include <CGAL/Delaunay_triangulation_2.h>
 #include <CGAL/Exact_predicates_inexact_constructions_kernel.h>
@@ -20,13 +18,15 @@ using Delaunay = CGAL::Delaunay_triangulation_2<Kernel, Structure>;
 } // namespace
 
 extern "C" bool td_tin_delaunay(uint32_t (**triangles)[3], size_t *count, size_t *vertices,
-                                const double (*xyz)[3], const uint32_t *index, size_t n)
+                                const double (*xy)[2], const uint32_t *index, size_t n)
 try {
-    std::vector<std::pair<Kernel::Point_2, std::uint32_t>> points;
-    points.reserve(n);
-    for (size_t i = 0; i < n; i++)
-        points.emplace_back(Kernel::Point_2(xyz[index[i]][0], xyz[index[i]][1]), index[i]);
-    const Delaunay delaunay(points.begin(), points.end()); // sorted along a space-filling curve by itself
+    Delaunay delaunay;
+    Delaunay::Face_handle near;
+    for (size_t i = 0; i < n; i++) {
+        const auto vertex = delaunay.insert(Kernel::Point_2(xy[i][0], xy[i][1]), near);
+        vertex->info() = index[i];
+        near = vertex->face();
+    }
     *vertices = delaunay.number_of_vertices();
     *count = 0;
     const size_t faces = delaunay.number_of_faces();

@@ -278,6 +278,6 @@ def test_kills():
 test_places()
 if not SANITIZED:
     test_interrupts()
+    test_kills()
 test_kills_while_writing()
-test_kills()
 finish()

@@ -33,7 +33,7 @@ def heights(path, points):
 
 
 def products(folder):
-    return {name: open(os.path.join(folder, name), "rb").read() for name in ("map.tif", "map.ply")}
+    return {name: open(os.path.join(folder, name), "rb").read() for name in ("map.tif", "map.ply", "map.las", "map.glb", "orthophoto.tif")}
 
 
 def test_site():

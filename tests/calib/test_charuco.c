@@ -81,6 +81,7 @@ static void count(tally *t, const charuco_scene *s, const td_detection *d)
 static void random_views(void **state)
 {
     (void)state;
+    check_statistics();
     const char *full = getenv("TELEDIMOS_FULL");
     const int views = full && strcmp(full, "1") == 0 ? 240 : 30;
     charuco_scene s = scene_of(charuco_target(9, 6, "aruco4x4_50"));

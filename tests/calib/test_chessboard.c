@@ -172,6 +172,7 @@ static void a_transposed_target_is_the_same_board(void **state)
 static void sigma_is_the_scatter(void **state)
 {
     (void)state;
+    check_statistics();
     const double noise[] = {2, 8};
     for (int level = 0; level < 2; level++) {
         double square = 0;

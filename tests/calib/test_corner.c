@@ -130,6 +130,7 @@ static void derivatives_are_those_of_the_model(void **state)
 static void no_bias_without_noise(void **state)
 {
     (void)state;
+    check_statistics();
     td_random random = td_random_seed(1, 1);
     const double square[] = {30, 30, 30, 30, 14, 14}, blur[] = {0.4, 1, 2, 3, 0.5, 1.5};
     const double bound[] = {0.003, 0.007, 0.009, 0.009, 0.004, 0.008};
@@ -160,6 +161,7 @@ static void no_bias_without_noise(void **state)
 static void what_the_model_lacks_hardly_moves_it(void **state)
 {
     (void)state;
+    check_statistics();
     enum { SHARPENED, CURVED, STRAY, FALLING, KINDS };
     static const char *const name[KINDS] = {"sharpened", "gamma 2.2", "stray light", "falling light"};
     static const double bound[KINDS] = {0.002, 0.002, 0.002, 0.008};
@@ -196,6 +198,7 @@ static void what_the_model_lacks_hardly_moves_it(void **state)
 static void sigma_is_the_scatter(void **state)
 {
     (void)state;
+    check_statistics();
     td_random random = td_random_seed(3, 1);
     const double noise[] = {2, 8}, blur[] = {0.5, 1, 1.5, 2, 0.7};
     for (int level = 0; level < 2; level++) {

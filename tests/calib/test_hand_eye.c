@@ -295,6 +295,7 @@ static double print_ratios(const monte_carlo *mc, size_t runs, double *least, do
 static void test_sigma(void **state)
 {
     (void)state;
+    check_statistics();
     static const double level[3] = {0.2, 1, 5};
     size_t runs = full_tests() ? MOST_RUNS : 150;
     for (int k = 0; k < 3; k++) {

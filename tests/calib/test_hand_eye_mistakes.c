@@ -205,6 +205,7 @@ static void test_other_setup(void **state)
 static void test_no_false_alarm(void **state)
 {
     (void)state;
+    check_statistics();
     const char *full = getenv("TELEDIMOS_FULL");
     int trials = full && !strcmp(full, "1") ? 5000 : 300, alarms = 0;
     for (int trial = 0; trial < trials; trial++) {

@@ -40,6 +40,7 @@ static void test_exact(void **state)
 static void test_scatter(void **state)
 {
     (void)state;
+    check_statistics();
     enum { MANY = 400 };
     td_random random = td_random_seed(11, 0);
     hand_eye_truth truth = random_truth(&random, TD_EYE_TO_HAND);

@@ -101,6 +101,7 @@ static void check_found(const double k[2], int terms, size_t views, bool tag, do
 static void test_found(void **state)
 {
     (void)state;
+    check_statistics();
     const double slight[2] = {0.06, 0}, barrel[2] = {-0.4, 0.3};
     check_found(slight, 1, 8, false, 0.85);
     check_found(barrel, 2, 20, false, 0.85);

@@ -346,6 +346,7 @@ static void finish(view *v, td_detection *d)
 static void grids_are_found_at_any_tilt(void **state)
 {
     (void)state;
+    check_statistics();
     td_random random = td_random_seed(3, 1);
     const int size[4][2] = {{6, 6}, {7, 5}, {4, 11}, {12, 9}};
     for (int k = 0; k < 4; k++) {

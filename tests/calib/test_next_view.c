@@ -139,6 +139,7 @@ static double taken_over_predicted(td_observations *o, size_t views, const guide
 static void test_prediction(void **state)
 {
     (void)state;
+    check_statistics();
     for (int cameras = 1; cameras <= 2; cameras++) {
         simulation sim = simulate_stereo(TD_CAMERA_BROWN5, 12);
         sim.rig->count = cameras;

@@ -90,6 +90,7 @@ static void random_views(tally *t, int kind, int views)
 static void test_random_views(void **state)
 {
     (void)state;
+    check_statistics();
     static const char *const name[] = {"aprilgrid, border 1", "aprilgrid, border 2", "single tags"};
     static const double most[] = {0.05, 0.03, 0.07};
     for (int kind = 0; kind < 3; kind++) {
@@ -143,6 +144,7 @@ static void check_sigma(const td_target *target, bool squares, double lean, doub
 static void test_sigma(void **state)
 {
     (void)state;
+    check_statistics();
     const td_target lone = tag_scene_grid(6, 6, 1), touched = tag_scene_grid(6, 6, 2);
     check_sigma(&lone, false, 0.3, 0.6, 6);
     check_sigma(&lone, false, 0.5, 1.0, 10);

@@ -138,6 +138,7 @@ static void tip_error(double d[3], double *q, const scene *s, const td_vehicle *
 static void test_scatter(void **state)
 {
     (void)state;
+    check_statistics();
     scene s;
     td_error error;
     int count = runs(150), tip;

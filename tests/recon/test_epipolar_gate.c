@@ -117,6 +117,7 @@ static void test_derivative(void **state)
 static void test_monte_carlo(void **state)
 {
     (void)state;
+    check_statistics();
     const char *full = getenv("TELEDIMOS_FULL");
     const int solves = full && !strcmp(full, "1") ? 4000 : 1000;
     td_rig *rig = make_rig();

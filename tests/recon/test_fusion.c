@@ -133,6 +133,7 @@ static void draw(cover *c, const site *s, int frames, int repeats, double pose_s
 static void test_noise_coverage(void **state)
 {
     (void)state;
+    check_statistics();
     td_random random = td_random_seed(11, 0);
     site s = site_new(false, 1);
     static const double cell[3] = {0.03, 0.1,
@@ -155,6 +156,7 @@ static void test_noise_coverage(void **state)
 static void test_rig_coverage(void **state)
 {
     (void)state;
+    check_statistics();
     const int draws = full() ? 240 : 30;
     const double bound = full() ? 0.07 : 0.18;
     td_random random = td_random_seed(12, 0);
@@ -293,6 +295,56 @@ static void test_excavated(void **state)
     td_elevation_free(&before);
     td_elevation_free(&after);
     td_fusion_free(&fusion);
+    site_free(&s);
+}
+
+/* The points' squared heights above their cells are those of their noise: sigma along the rays, less what the
+ * cell's own mean takes (a point's share of it). Slopes are found from the same points, so a tenth is left to
+ * them. */
+static void test_residuals(void **state)
+{
+    (void)state;
+    td_random random = td_random_seed(29, 0);
+    site s = site_new(false, 1);
+    td_error error;
+    td_fusion *fusion;
+    td_fusion_tally tally;
+    const td_pose pose = scene_pose(0, 0, 2.6, 0, DOWN);
+    for (int noisy = 0; noisy < 2; noisy++) {
+        double expected = 0, points = 0;
+        td_disparity *d = scene_disparity(s.camera, s.rig, s.rig, &pose, 0.2f, scene_hills, NULL);
+        for (int i = 0; i < d->width * d->height; i++) {
+            td_depth_point p;
+            double at[3], axis[3], slope[2];
+            if (!td_depth_camera_point(&p, s.camera, i % d->width, i / d->width, d->value[i], d->sigma[i]))
+                continue;
+            for (int k = 0; k < 3; k++) at[k] = (double)p.p[k], axis[k] = (double)p.axis[k];
+            td_pose_transform(at, &pose, at);
+            td_pose_rotate(axis, &pose, axis);
+            scene_height(at[0], at[1], slope);
+            const double off = axis[2] - slope[0] * axis[0] - slope[1] * axis[1];
+            expected += off * off;
+            points++;
+        }
+        if (noisy) scene_noise(d, 1, 1, &random);
+        check_ok(td_fusion_new(&fusion, &s.options, &error), error);
+        add(fusion, &s, &pose, d, NULL, &tally);
+        const double square = tally.square_m2 / (double)tally.believed;
+        expected *= (1 - (double)tally.cells / points) / points;
+        print_message("%zu points in %zu cells: RMS %.2f mm, their noise %.2f mm\n", tally.believed,
+                      tally.cells, 1e3 * sqrt(square), noisy ? 1e3 * sqrt(expected) : 0);
+        assert_true(tally.believed == tally.points && tally.gated == 0);
+        if (noisy)
+            check_near(square / expected, 1, 0.1);
+        else
+            check_less(square, 0.01 * expected);
+        /* The same frame with ground half a metre away is not believed, and counts for nothing. */
+        for (int i = 0; i < d->width * d->height; i++) d->value[i] *= 1.2f;
+        add(fusion, &s, &pose, d, NULL, &tally);
+        assert_true(tally.gated > 100 && tally.believed < tally.points / 2);
+        td_fusion_free(&fusion);
+        scene_disparity_free(&d);
+    }
     site_free(&s);
 }
 
@@ -607,6 +659,7 @@ int main(void)
         cmocka_unit_test(test_noise_coverage),
         cmocka_unit_test(test_rig_coverage),
         cmocka_unit_test(test_excavated),
+        cmocka_unit_test(test_residuals),
         cmocka_unit_test(test_gate),
         cmocka_unit_test(test_visibility),
         cmocka_unit_test(test_prior),

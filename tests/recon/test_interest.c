@@ -299,6 +299,7 @@ static void check_curve(const curve *c, const char *name)
 static void test_repeatability(void **state)
 {
     (void)state;
+    check_statistics();
     pair_of_views graf;
     if (!views_graf(&graf)) {
         print_message("skipped: Debian's opencv-doc (graf1.png, graf3.png, H1to3p.xml) is not installed\n");

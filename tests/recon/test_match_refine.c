@@ -104,12 +104,14 @@ static void test_low_noise(void **state)
 static void test_usual_noise(void **state)
 {
     (void)state;
+    check_statistics();
     check_setting(&(setting){20, 3, 0.08});
 }
 
 static void test_strong_noise(void **state)
 {
     (void)state;
+    check_statistics();
     check_setting(&(setting){12, 4, 0.03});
 }
 

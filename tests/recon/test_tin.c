@@ -189,6 +189,42 @@ static void test_refused(void **state)
     td_elevation_free(&map);
 }
 
+/* Seconds that 100 000 points take: 0 random, 1 on a parabola (its vertex the hub of a fan), 2 random with
+ * one far off. */
+static double seconds_for(int kind)
+{
+    enum { N = 100000 };
+    td_random random = td_random_seed(3, 1);
+    td_error error = {0};
+    double(*xyz)[3] = calloc(N, sizeof *xyz);
+    uint32_t(*t)[3];
+    size_t count;
+    for (int i = 0; i < N; i++) {
+        const double u = td_random_uniform(&random), v = td_random_uniform(&random);
+        xyz[i][0] = kind == 1 ? (double)i / N : u;
+        xyz[i][1] = kind == 1 ? xyz[i][0] * xyz[i][0] : v;
+    }
+    if (kind == 2) xyz[5][0] = 1e7;
+    const clock_t begin = clock();
+    check_ok(td_tin_triangulate(&t, &count, (const double(*)[3])xyz, N, &error), error);
+    const double seconds = (double)(clock() - begin) / CLOCKS_PER_SEC;
+    if (kind == 1) assert_int_equal(count, N - 2);
+    free(t);
+    free(xyz);
+    return seconds;
+}
+
+/* Neither takes quadratic time, which was 20 times as long as random points take: at most five times. */
+static void test_hard_points(void **state)
+{
+    (void)state;
+    const double easy = seconds_for(0), curve = seconds_for(1), far = seconds_for(2);
+    print_message("100 000 points: %.0f ms, on a curve %.0f, one far off %.0f\n", 1e3 * easy, 1e3 * curve,
+                  1e3 * far);
+    check_less(curve, 5 * easy);
+    check_less(far, 5 * easy);
+}
+
 /* Nothing is lost among many at UTM's coordinates, whose points no raster makes exact. */
 static void test_many(void **state)
 {
@@ -385,15 +421,11 @@ static void test_joint_sigma(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_random_points),
-        cmocka_unit_test(test_grid_points),
-        cmocka_unit_test(test_duplicates),
-        cmocka_unit_test(test_refused),
-        cmocka_unit_test(test_many),
-        cmocka_unit_test(test_planes),
-        cmocka_unit_test(test_common_sides),
-        cmocka_unit_test(test_long_sides),
-        cmocka_unit_test(test_independent_sigma),
+        cmocka_unit_test(test_random_points), cmocka_unit_test(test_grid_points),
+        cmocka_unit_test(test_duplicates),    cmocka_unit_test(test_refused),
+        cmocka_unit_test(test_many),          cmocka_unit_test(test_hard_points),
+        cmocka_unit_test(test_planes),        cmocka_unit_test(test_common_sides),
+        cmocka_unit_test(test_long_sides),    cmocka_unit_test(test_independent_sigma),
         cmocka_unit_test(test_joint_sigma),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -335,6 +335,7 @@ static void run_experiment(const experiment *e, uint64_t seed)
 static void test_given(void **state)
 {
     (void)state;
+    check_statistics();
     run_experiment(&(experiment){.name = "given", .width = 1.5, .sigma = 0.01}, 1);
 }
 
@@ -353,6 +354,7 @@ static void test_white(void **state)
 static void test_estimated(void **state)
 {
     (void)state;
+    check_statistics();
     const experiment e = {.name = "all estimated, polygon",
                           .width = 1,
                           .sigma = 0.01,
@@ -366,6 +368,7 @@ static void test_estimated(void **state)
 static void test_estimated_everywhere(void **state)
 {
     (void)state;
+    check_statistics();
     const experiment e = {.name = "all estimated, no polygon, no sigma",
                           .width = 1,
                           .sigma = 0.01,
@@ -453,6 +456,7 @@ static void test_slope(void **state)
 static void test_slope_sigma(void **state)
 {
     (void)state;
+    check_statistics();
     td_random random = td_random_seed(8, 1);
     double sum = 0, square = 0, predicted = 0;
     for (int k = 0; k < 10000; k++) {
