@@ -10,11 +10,12 @@
 #include "apps/reconstruct_team.h"
 #include "core/file.h"
 
-static const char *dataset_path, *rig_path, *prior_path, *region_text, *crs, *method = "ours";
+static const char *dataset_path, *rig_path, *prior_path, *region_text, *start_text, *crs, *method = "ours";
 static cli_common common;
 static cli_list gates;
 static bool accept;
 static int gate_every = 10, levels = 0, believe = 3, memory_mb = 1024, texels = 4;
+static double start[4];
 static double near_m = 2, far_m = 20, cell_m = 0.05, prior_sigma_m = 0.5;
 
 static const char *const methods[] = {"ours", "opencv", NULL};
@@ -40,6 +41,10 @@ static cli_option options[] = {
      NULL},
     {CLI_REAL, "prior-sigma", 0, &prior_sigma_m, "M", "its standard deviation where it has none; default 0.5",
      1e-3, 100, NULL},
+    {CLI_STRING, "start", 0, &start_text, "X,Y,Z,HEADING",
+     "where the base stands before the first frame, m and degrees, to a metre and 8 degrees: frames whose "
+     "pose frames.csv does not give are then found on the --prior",
+     0, 0, NULL},
     {CLI_INT, "believe", 0, &believe, "N",
      "frames in a row that must agree that the ground has changed; default 3", 1, 100, NULL},
     {CLI_INT, "memory", 0, &memory_mb, "MB",
@@ -77,6 +82,9 @@ static cli_command command = {
         "deviation, a count and where they come from. With a robot (robot: {urdf, mount} in dataset.yaml, "
         "joint "
         "angles in frames.csv) the machine's own arm is left out.\n\n"
+        "A frame without a pose is located by tags on the site (site_tags in dataset.yaml), or else by the "
+        "ground it sees, from where the last frame was; one that cannot be is named and left out. DATASET "
+        "may also be a folder in EuRoC's layout, or a pair in Middlebury's.\n\n"
         "Products: map.tif (GeoTIFF: height, sigma, count, provenance, time), orthophoto.tif (GeoTIFF, "
         "RGBA), "
         "map.ply and map.las (the cells as points with colour and sigma), map.glb (glTF: the surface with "
@@ -125,6 +133,18 @@ static td_status parse_region(double region[4], td_error *error)
     return TD_OK;
 }
 
+static td_status parse_start(td_error *error)
+{
+    char rest;
+    if (!start_text) return TD_OK;
+    if (sscanf(start_text, "%lf,%lf,%lf,%lf%c", &start[0], &start[1], &start[2], &start[3], &rest) != 4 ||
+        !(fabs(start[0]) < 1e7 && fabs(start[1]) < 1e7 && fabs(start[2]) < 1e5 && fabs(start[3]) <= 360))
+        return td_fail(error, TD_ERROR_ARGUMENT, "--start %s: write X,Y,Z in metres and HEADING in degrees",
+                       start_text);
+    start[3] *= 0.017453292519943295;
+    return TD_OK;
+}
+
 static td_status prepare(reconstruct_job *work, gate_row *rows, td_dataset **dataset, td_error *error)
 {
     for (size_t i = 0; i < gates.count; i++)
@@ -137,6 +157,8 @@ static td_status prepare(reconstruct_job *work, gate_row *rows, td_dataset **dat
     TD_TRY(reconstruct_crs(work, NULL, error));
     if (!(near_m < far_m)) return td_fail(error, TD_ERROR_ARGUMENT, "--near must be below --far");
     TD_TRY(parse_region(work->how->fusion.region, error));
+    TD_TRY(parse_start(error));
+    if (start_text) work->how->start = start;
     TD_TRY(td_dataset_read(dataset, dataset_path, error));
     work->dataset = *dataset;
     TD_TRY(reconstruct_frames(work, error));

@@ -15,11 +15,15 @@ static const char *const pose_columns[7] = {"x_m", "y_m", "z_m", "qw", "qx", "qy
 static td_status find_rig(reconstruct_job *work, td_error *error)
 {
     const char *path = work->how->rig ? work->how->rig : work->dataset->rig;
+    const char *own = work->how->rig ? NULL : work->dataset->rig_text;
     if (!path)
         return td_fail(error, TD_ERROR_ARGUMENT,
                        "dataset %s names no rig: give --rig RIG (teledimos calibrate makes one)",
                        work->dataset->name);
-    TD_TRY(td_rig_import(&work->rig, &path, 1, NULL, error));
+    if (own)
+        TD_TRY(td_rig_parse(&work->rig, own, strlen(own), path, error));
+    else
+        TD_TRY(td_rig_import(&work->rig, &path, 1, NULL, error));
     if (work->rig->count < 2)
         return td_fail(error, TD_ERROR_DATA, "%s: a rig of one camera has no pair", path);
     return td_pair_init(&work->pair, work->rig, work->how->camera[0], work->how->camera[1], error);
@@ -72,11 +76,16 @@ static td_status find_images(reconstruct_job *work, td_error *error)
     return TD_OK;
 }
 
-/* The base's pose in a row; a frame without one fails alone, and is named. */
+/* The base's pose in a row. Without any of its numbers it is found later; with some of them the frame fails
+ * alone, and is named. */
 static void read_pose(reconstruct_frame *f, td_pose *pose, const td_csv *csv, size_t row, const int column[7])
 {
     double v[7], norm = 0;
     td_error error = {0};
+    int empty = 0;
+    for (int k = 0; k < 7; k++) empty += !*td_csv_cell(csv, row, column[k]);
+    f->place = empty == 7 ? PLACE_UNKNOWN : PLACE_GIVEN;
+    if (empty == 7) return;
     for (int k = 0; k < 7; k++)
         if (td_csv_real(&v[k], csv, row, column[k], k < 3 ? -1e7 : -2, k < 3 ? 1e7 : 2, &error) != TD_OK) {
             f->failed = true;
@@ -140,26 +149,43 @@ static td_status read_table(reconstruct_job *work, const td_csv *csv, td_error *
     if (csv->rows != work->count)
         return td_fail(error, TD_ERROR_DATA, "%s has changed while it was read", csv->name);
     for (int k = 0; k < 7; k++) found += (column[k] = td_csv_column(csv, pose_columns[k])) >= 0;
-    work->has_poses = found == 7;
     if (found && found < 7)
         return td_fail(error, TD_ERROR_DATA,
                        "%s: a base pose needs the columns x_m, y_m, z_m, qw, qx, qy and qz", csv->name);
-    if (!found && work->count > 1)
+    const bool findable = work->dataset->site_tags.tag_count > 0 || (work->how->prior && work->how->start);
+    if (!found && work->count > 1 && !findable)
         return td_fail(
             error, TD_ERROR_DATA,
             "%s has %zu frames but no poses of the base (columns x_m, y_m, z_m, qw, qx, qy, qz): without "
-            "them only one frame makes a map",
+            "them only one frame makes a map, unless tags stand on the site (site_tags in dataset.yaml) or a "
+            "map "
+            "of it and a first place are given (--prior, --start)",
             csv->name, work->count);
+    work->has_poses = found || findable;
     if (work->robot) TD_TRY(td_joint_table_read(&work->q, NULL, csv, work->robot, NULL, error));
     TD_TRY(read_skew(work, csv, error));
     for (size_t i = 0; i < work->count; i++) {
         reconstruct_frame *f = &work->frame[i];
         td_pose base = td_pose_identity();
         if (work->robot) f->q = work->q + i * (size_t)work->robot->joint_count;
-        if (work->has_poses) read_pose(f, &base, csv, i, column);
+        if (found) read_pose(f, &base, csv, i, column);
+        if (!found && findable) f->place = PLACE_UNKNOWN;
         place_rig(work, f, &base);
     }
     return TD_OK;
+}
+
+static void hash_tags(td_hash *hash, const td_dataset *d)
+{
+    const double sigma[2] = {d->site_tags_sigma_rad, d->site_tags_sigma_m};
+    td_hash_add(hash, sigma, sizeof sigma);
+    for (int i = 0; i < d->site_tags.tag_count; i++) {
+        const td_target_tag *t = &d->site_tags.tag[i];
+        const double number[2] = {t->id, t->size_m};
+        td_hash_add(hash, number, sizeof number);
+        td_hash_add(hash, t->target_from_tag.q, sizeof t->target_from_tag.q);
+        td_hash_add(hash, t->target_from_tag.t, sizeof t->target_from_tag.t);
+    }
 }
 
 /* What the map depends on besides the images: rig, table, robot, options. */
@@ -181,6 +207,8 @@ static td_status make_key(reconstruct_job *work, const td_csv *csv, td_error *er
                  h->fusion.region[0], h->fusion.region[1], h->fusion.region[2], h->fusion.region[3],
                  h->fusion.gate_sigma, h->fusion.believe_frames, h->fusion.correlation_px);
         td_hash_add(hash, options, strlen(options) + 1);
+        if (h->start) td_hash_add(hash, h->start, 4 * sizeof *h->start);
+        hash_tags(hash, work->dataset);
         if (work->robot && td_hash_file(sha, work->dataset->arm->urdf, NULL) == TD_OK)
             td_hash_add(hash, sha, sizeof sha);
         if (h->prior && td_hash_file(sha, h->prior, NULL) == TD_OK) td_hash_add(hash, sha, sizeof sha);
@@ -196,7 +224,10 @@ td_status reconstruct_frames(reconstruct_job *work, td_error *error)
     TD_TRY(find_rig(work, error));
     TD_TRY(find_robot(work, error));
     TD_TRY(find_images(work, error));
-    td_status status = td_csv_read(&csv, work->dataset->table, error);
+    const td_dataset *d = work->dataset;
+    td_status status = d->table_text
+                           ? td_csv_parse(&csv, d->table_text, strlen(d->table_text), d->table, error)
+                           : td_csv_read(&csv, d->table, error);
     if (status == TD_OK) status = read_table(work, csv, error);
     if (status == TD_OK) status = make_key(work, csv, error);
     td_csv_free(&csv);

@@ -16,15 +16,21 @@
 
 enum { FRAME_REASON_SIZE = 400 };
 
+/* How a frame's place was found. */
+typedef enum reconstruct_place { PLACE_GIVEN, PLACE_TAGS, PLACE_MAP, PLACE_UNKNOWN } reconstruct_place;
+
 /* One frame: what is known before, and what became of it. */
 typedef struct reconstruct_frame {
     const char *name, *image[2];
-    double time_s;            /* NaN: not given */
-    double skew_s;            /* right camera's time minus the left's; 0: not given */
-    double skew_px;           /* by how much the picture moves meanwhile; NaN: the motion is not known */
-    td_pose site_from_rig;    /* where the rig stood */
-    td_pose vehicle_from_rig; /* of the robot's root, with the joints as they stood */
-    const double *q;          /* (joints); NULL: no robot */
+    double time_s;         /* NaN: not given */
+    double skew_s;         /* right camera's time minus the left's; 0: not given */
+    double skew_px;        /* by how much the picture moves meanwhile; NaN: the motion is not known */
+    td_pose site_from_rig; /* where the rig stood, once `place` is known */
+    reconstruct_place place;
+    double pose_covariance[36]; /* of site_from_rig, where it was found */
+    double pose_sigma[6];       /* rad, m: turns about the site's axes through the rig, and its x, y, z */
+    td_pose vehicle_from_rig;   /* of the robot's root, with the joints as they stood */
+    const double *q;            /* (joints); NULL: no robot */
     bool done, failed;
     char reason[FRAME_REASON_SIZE]; /* why it failed */
     char sha256[TD_HASH_HEX_SIZE];  /* of both images; "": they were not looked for */
@@ -62,7 +68,8 @@ typedef struct reconstruct_memory {
 /* What was asked for. */
 typedef struct reconstruct_how {
     const char *rig, *prior, *output, *crs;
-    int texels; /* of the orthophoto, along a cell; 0: none */
+    const double *start; /* of the base before the first frame: x, y, z, m, heading, rad; NULL: unknown */
+    int texels;          /* of the orthophoto, along a cell; 0: none */
     int camera[2];
     double near_m, far_m, prior_sigma_m;
     td_dense_options dense;
@@ -126,6 +133,12 @@ td_status reconstruct_frame_hash(char sha256[TD_HASH_HEX_SIZE], reconstruct_job 
  * else only no memory and an interruption are failures. */
 td_status reconstruct_measure(reconstruct_view *view, reconstruct_job *work, size_t index, td_error *error);
 void reconstruct_view_free(reconstruct_view *view);
+/* reconstruct_localise.c: the place of a frame that the table does not give, by tags on the site, else by the
+ * ground it sees (its disparities, the machine left out), from where the last frame was. */
+td_status reconstruct_localise(reconstruct_job *work, size_t index, const td_disparity *disparity,
+                               td_error *error);
+extern const char *const reconstruct_place_name[]; /* by reconstruct_place */
+
 /* reconstruct_run.c: what every process needs; then, by the first of them, every frame into the map in their
  * order, from where an earlier run stopped. */
 td_status reconstruct_prepare(reconstruct_job *work, td_error *error);

@@ -51,6 +51,15 @@ const td_schema_row reconstruct_schema[] = {
     {"frames.failed", TD_SCHEMA_ARRAY, true, false, "left out"},
     {"frames.failed[].name", TD_SCHEMA_STRING, true, false, "frame"},
     {"frames.failed[].reason", TD_SCHEMA_STRING, true, false, "why"},
+    {"frames.located", TD_SCHEMA_ARRAY, true, false,
+     "whose place the table does not give, and that were found"},
+    {"frames.located[].name", TD_SCHEMA_STRING, true, false, "frame"},
+    {"frames.located[].method", TD_SCHEMA_STRING, true, false, "tags (on the site) or map (the ground seen)"},
+    {"frames.located[].t_m", TD_SCHEMA_REALS, true, false, "site_from_rig: place of the rig"},
+    {"frames.located[].q", TD_SCHEMA_REALS, true, false, "site_from_rig: quaternion w, x, y, z"},
+    {"frames.located[].sigma_m", TD_SCHEMA_REALS, true, false, "of the rig's x, y, z"},
+    {"frames.located[].sigma_deg", TD_SCHEMA_REALS, true, false,
+     "of turns about the site's x, y, z axes through the rig"},
     {"points", TD_SCHEMA_INT, true, false, "points in space that went into the map"},
     {"gated", TD_SCHEMA_INT, true, false, "measurements that contradicted a cell and were not believed"},
     {"reset", TD_SCHEMA_INT, true, false, "cells that began anew: the ground has changed"},
@@ -195,6 +204,23 @@ static json_t *map_json(const reconstruct_job *work)
     return o;
 }
 
+static json_t *located_json(const reconstruct_job *work)
+{
+    json_t *list = json_array();
+    for (size_t i = 0; i < work->count; i++) {
+        const reconstruct_frame *f = &work->frame[i];
+        if (f->failed || (f->place != PLACE_TAGS && f->place != PLACE_MAP)) continue;
+        double deg[3];
+        for (int k = 0; k < 3; k++) deg[k] = f->pose_sigma[k] * 57.29577951308232;
+        json_array_append_new(
+            list, json_pack("{s:s, s:s, s:o, s:o, s:o, s:o}", "name", f->name, "method",
+                            reconstruct_place_name[f->place], "t_m", td_json_reals(f->site_from_rig.t, 3),
+                            "q", td_json_reals(f->site_from_rig.q, 4), "sigma_m",
+                            td_json_reals(f->pose_sigma + 3, 3), "sigma_deg", td_json_reals(deg, 3)));
+    }
+    return list;
+}
+
 static json_t *frames_json(const reconstruct_job *work)
 {
     json_t *o = json_object(), *failed = json_array();
@@ -206,6 +232,7 @@ static json_t *frames_json(const reconstruct_job *work)
     set(o, "used", json_integer((json_int_t)(work->count - count_failed(work))));
     set(o, "resumed", json_integer((json_int_t)work->resumed));
     set(o, "failed", failed);
+    set(o, "located", located_json(work));
     return o;
 }
 

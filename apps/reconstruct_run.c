@@ -25,13 +25,15 @@ static void show(reconstruct_job *work, reconstruct_frame *f, reconstruct_view *
 static td_status fuse(reconstruct_job *work, reconstruct_frame *f, const reconstruct_view *view,
                       td_error *error)
 {
+    double began = terminal_now_s();
+    td_error why = {0};
+    td_status status = reconstruct_localise(work, (size_t)(f - work->frame), view->disparity, &why);
     const td_fusion_frame frame = {.camera = work->depth,
                                    .disparity = view->disparity,
                                    .site_from_rig = f->site_from_rig,
+                                   .pose_covariance = f->place == PLACE_GIVEN ? NULL : f->pose_covariance,
                                    .time_s = f->time_s};
-    double began = terminal_now_s();
-    td_error why = {0};
-    td_status status = td_fusion_add(work->fusion, &frame, &f->tally, &why);
+    if (status == TD_OK) status = td_fusion_add(work->fusion, &frame, &f->tally, &why);
     if (status == TD_OK) status = reconstruct_photo_add(work, f, &frame, &why);
     f->seconds += terminal_now_s() - began;
     if (status == TD_OK) return TD_OK;

@@ -27,7 +27,7 @@ static char *state_path(const reconstruct_job *work, const char *name)
 static json_t *frame_json(const reconstruct_frame *f)
 {
     const td_fusion_tally *t = &f->tally;
-    return json_pack(
+    json_t *o = json_pack(
         "{s:s, s:s, s:b, s:s, s:o, s:o, s:o, s:o, s:o, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:o}", "name",
         f->name, "sha256", f->sha256, "failed", f->failed, "reason", f->reason, "matched",
         td_json_real(f->matched), "masked", td_json_real(f->masked), "epipolar_px",
@@ -36,6 +36,29 @@ static json_t *frame_json(const reconstruct_frame *f)
         "new_cells", (json_int_t)t->new_cells, "gated", (json_int_t)t->gated, "reset", (json_int_t)t->reset,
         "cleared", (json_int_t)t->cleared, "believed", (json_int_t)t->believed, "square_m2",
         td_json_real(t->square_m2));
+    if ((f->place == PLACE_TAGS || f->place == PLACE_MAP) && !f->failed) {
+        json_object_set_new(o, "place", json_string(reconstruct_place_name[f->place]));
+        json_object_set_new(o, "q", td_json_reals(f->site_from_rig.q, 4));
+        json_object_set_new(o, "t_m", td_json_reals(f->site_from_rig.t, 3));
+        json_object_set_new(o, "pose_sigma", td_json_reals(f->pose_sigma, 6));
+    }
+    return o;
+}
+
+/* Where a frame was found: the next one begins there. */
+static td_status read_place(reconstruct_frame *f, const td_field *at, td_error *error)
+{
+    static const char *const names[] = {"tags", "map", NULL};
+    const td_field place = td_field_get(at, "place"), q = td_field_get(at, "q"), t = td_field_get(at, "t_m");
+    const td_field sigma = td_field_get(at, "pose_sigma");
+    int choice;
+    if (!place.value) return TD_OK;
+    TD_TRY(td_field_choice(&choice, &place, names, "tags or map", error));
+    TD_TRY(td_field_reals(f->site_from_rig.q, 4, &q, -2, 2, error));
+    TD_TRY(td_field_reals(f->site_from_rig.t, 3, &t, -1e8, 1e8, error));
+    TD_TRY(td_field_reals(f->pose_sigma, 6, &sigma, 0, 1e8, error));
+    f->place = choice == 0 ? PLACE_TAGS : PLACE_MAP;
+    return TD_OK;
 }
 
 static td_status write_progress(const reconstruct_job *work, size_t frames, const char *map, td_error *error)
@@ -145,6 +168,7 @@ static td_status read_frame(reconstruct_frame *f, const td_field *at, td_error *
         if (field.value && !json_is_null(field.value))
             TD_TRY(td_field_real(value[k], &field, k < 4 ? 0 : -1e12, 1e12, error));
     }
+    TD_TRY(read_place(f, at, error));
     f->done = true;
     return TD_OK;
 }

@@ -8,6 +8,7 @@
 
 #include "core/csv.h"
 #include "core/dataset_internal.h"
+#include "core/dataset_layout_internal.h"
 #include "core/document.h"
 #include "core/file.h"
 #include "core/target_internal.h"
@@ -54,6 +55,8 @@ void td_dataset_free(td_dataset **dataset)
     free(d->robot.path);
     free(d->target_poses.path);
     free(d->rig);
+    free(d->table_text);
+    free(d->rig_text);
     td_dataset_arm_free(&d->arm);
     free(d);
     *dataset = NULL;
@@ -244,12 +247,31 @@ static td_status parse_hand_eye(td_dataset *d, const td_field *top, const char *
     return TD_OK;
 }
 
+static td_status parse_site_tags(td_dataset *d, const td_field *field, td_error *error)
+{
+    static const char *const keys[] = {"target", "sigma_mm", "sigma_deg", NULL};
+    if (!field->value) return TD_OK;
+    TD_TRY(td_field_check_keys(field, keys, error));
+    td_field target = td_field_get(field, "target");
+    td_field mm = td_field_get(field, "sigma_mm"), deg = td_field_get(field, "sigma_deg");
+    TD_TRY(td_target_parse(&d->site_tags, &target, error));
+    if (d->site_tags.kind != TD_TARGET_TAGS)
+        return td_field_fail(&target, error,
+                             "must be of kind tags: {kind: tags, tags: [{id: …, size_m: …, "
+                             "target_from_tag: …}]}");
+    if (mm.value) TD_TRY(td_field_real(&d->site_tags_sigma_m, &mm, 0, 1e6, error));
+    if (deg.value) TD_TRY(td_field_real(&d->site_tags_sigma_rad, &deg, 0, 180, error));
+    d->site_tags_sigma_m *= 1e-3;
+    d->site_tags_sigma_rad *= 0.017453292519943295;
+    return TD_OK;
+}
+
 /* Everything of dataset.yaml; d->folder is known. */
 static td_status parse_description(td_dataset *d, places *p, const td_field *root, td_error *error)
 {
-    static const char *const keys[] = {"name",   "about",   "root",   "target",       "cameras", "frames",
-                                       "expect", "corners", "robot",  "target_poses", "rig",     "setup",
-                                       "points", "boards",  "sights", "sigma_px",     NULL};
+    static const char *const keys[] = {"name",   "about",   "root",   "target",       "cameras",   "frames",
+                                       "expect", "corners", "robot",  "target_poses", "rig",       "setup",
+                                       "points", "boards",  "sights", "sigma_px",     "site_tags", NULL};
     TD_TRY(td_field_check_keys(root, keys, error));
     TD_TRY(parse_name(d, root, error));
     td_field target = td_field_get(root, "target"), cameras = td_field_get(root, "cameras");
@@ -272,6 +294,8 @@ static td_status parse_description(td_dataset *d, places *p, const td_field *roo
     if (frames.value) TD_TRY(td_field_string(&table, &frames, error));
     p->frames = td_path_join(d->folder, table);
     if (!p->frames) return out_of_memory(error);
+    td_field site_tags = td_field_get(root, "site_tags");
+    TD_TRY(parse_site_tags(d, &site_tags, error));
     if (corners.value) TD_TRY(parse_path(&d->corners, &corners, d->folder, error));
     return parse_hand_eye(d, root, p->root, error);
 }
@@ -483,9 +507,76 @@ static td_status find_description(char **file, const char *path, td_error *error
     return TD_OK;
 }
 
+/* ---- folders of others ---- */
+
+void td_dataset_layout_free(td_dataset_layout *layout)
+{
+    free(layout->yaml);
+    free(layout->table);
+    free(layout->rig);
+    *layout = (td_dataset_layout){0};
+}
+
+bool td_dataset_has_file(const char *folder, const char *name)
+{
+    struct stat status;
+    char *path = td_path_join(folder, name);
+    const bool there = path && stat(path, &status) == 0 && S_ISREG(status.st_mode);
+    free(path);
+    return there;
+}
+
+void td_dataset_layout_name(char name[TD_NAME_SIZE], const char *folder)
+{
+    size_t end = strlen(folder), n = 0;
+    while (end > 0 && folder[end - 1] == '/') end--;
+    size_t first = end;
+    while (first > 0 && folder[first - 1] != '/') first--;
+    for (; first < end && n + 1 < TD_NAME_SIZE; first++) {
+        const char c = folder[first];
+        const bool plain =
+            (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-';
+        name[n++] = plain ? c : '_';
+    }
+    name[n] = 0;
+    if (strspn(name, "_") == n) strcpy(name, "dataset");
+}
+
+typedef td_status (*read_layout)(td_dataset_layout *layout, const char *folder, td_error *error);
+
+/* NULL: in no layout that is known. */
+static read_layout layout_of(const char *folder)
+{
+    if (!is_folder(folder) || td_dataset_has_file(folder, DESCRIPTION)) return NULL;
+    if (td_dataset_is_euroc(folder)) return td_dataset_euroc;
+    return td_dataset_is_middlebury(folder) ? td_dataset_middlebury : NULL;
+}
+
+static td_status read_foreign(td_dataset **dataset, const char *folder, read_layout read, td_error *error)
+{
+    td_dataset_layout layout;
+    TD_TRY(read(&layout, folder, error));
+    td_status status = td_dataset_parse(dataset, layout.yaml, strlen(layout.yaml), layout.table,
+                                        strlen(layout.table), folder, error);
+    if (status == TD_OK) {
+        td_dataset *d = *dataset;
+        d->table_text = layout.table;
+        d->rig_text = layout.rig;
+        layout.table = layout.rig = NULL;
+        if (!d->rig_text) {
+            free(d->rig);
+            d->rig = NULL;
+        }
+    }
+    td_dataset_layout_free(&layout);
+    return status;
+}
+
 td_status td_dataset_read(td_dataset **dataset, const char *path, td_error *error)
 {
     char *file = NULL;
+    const read_layout foreign = layout_of(path);
+    if (foreign) return read_foreign(dataset, path, foreign, error);
     TD_TRY(find_description(&file, path, error));
     char *folder = td_path_folder(file);
     json_t *document = NULL;

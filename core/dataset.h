@@ -25,6 +25,13 @@
  * joints: …}, points, boards, sights; core/dataset_arm.h. Their files are looked for in the dataset's folder,
  * then at root. A file in a zip archive is "set.zip/folder/name".
  *
+ * Of reconstructions besides: frames.csv may hold the base's pose (x_m, y_m, z_m, qw, qx, qy, qz:
+ * site_from_vehicle; a row without it, or a table without these columns, is located by
+ *   site_tags: {target: {kind: tags, …}, sigma_mm: 2, sigma_deg: 0.2}    # tags on the site; target_from_tag
+ * is # site_from_tag here or by the ground that it sees).
+ *
+ * Folders of others are read as they are: EuRoC's (mav0/cam0/…) and Middlebury's pairs (im0, im1, calib.txt).
+ *
  * frames.csv: a header; `frame` names the view (optional: else the row's number), a column for each camera
  * (an empty cell: no image), optional `time_s`, optional `height_m` (the board, moved along its own normal to
  * known heights while the cameras stand still: Faugeras-Toscani's target with depth). Other columns are kept
@@ -76,9 +83,14 @@ typedef struct td_dataset {
     double expected_tolerance_m;
     char *corners; /* path of a CSV of points found elsewhere (calib/observations.h); NULL: detect */
     td_dataset_poses robot, target_poses;
-    char *rig;           /* path of the cameras' calibration; NULL: none */
-    char setup[16];      /* "eye-in-hand", …; "": not said */
-    td_dataset_arm *arm; /* NULL: no arm whose joints are read */
+    char *rig;                                     /* path of the cameras' calibration; NULL: none */
+    char setup[16];                                /* "eye-in-hand", …; "": not said */
+    td_dataset_arm *arm;                           /* NULL: no arm whose joints are read */
+    td_target site_tags;                           /* tags on the site, in its frame; tag_count 0: none */
+    double site_tags_sigma_rad, site_tags_sigma_m; /* of each tag's pose */
+    /* Of a folder in another's layout: the text that its frames.csv and rig.yaml would hold; else NULL.
+     * `table` and `rig` are then names for messages. */
+    char *table_text, *rig_text;
 } td_dataset;
 
 /* Reads DATASET/dataset.yaml (or the file itself when a path to a .yaml is given) and its frames. Everything

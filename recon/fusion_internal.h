@@ -113,6 +113,7 @@ typedef struct td_frame_cell {
     double weight, weight2, x, y, z; /* sums; x, y, z weighted, then their means */
     double residual;                 /* m^2, weighted sum of squares off the plane */
     double slope[2], slope_variance; /* of each */
+    double relief;                   /* m^2, of the cells around off their plane, beyond matching's noise */
     uint32_t count;
     uint16_t cell;
 } td_frame_cell;

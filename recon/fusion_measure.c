@@ -2,11 +2,17 @@
  *
  * Height: the weighted mean of the points, carried to the centre along the slope g, which is a plane's
  * through the means of the 3 x 3 cells around. With v = (-g, 1) an error e of a point (3) moves the height by
- * v . e: matching     v . r dz for a ray r = X / z: variance (v . r)^2 var(z), averaged over the points as
- * far as their errors differ (td_mean_variance) pose         v^T [-[X]x, I] S [-[X]x, I]^T v calibration  v^T
- * C v, C the point's covariance by the rig scatter      where the points lie off the plane by far more than
- * matching explains, the cell holds an edge or a stone, of which another view may see another part: the rest
- * of their variance counts whole. */
+ * v . e:
+ *
+ * - matching: v . r dz for a ray r = X / z: variance (v . r)^2 var(z), averaged over the points as far as
+ * their errors differ (td_mean_variance);
+ * - pose: v^T [-[X]x, I] S [-[X]x, I]^T v;
+ * - calibration: v^T C v, C the point's covariance by the rig;
+ * - scatter: where the points lie off the plane by far more than matching explains, the cell holds an edge or
+ * a stone, of which another view may see another part: the rest of their variance counts whole;
+ * - relief: where the means around lie off their plane by more than matching explains, the ground is no plane
+ * there: the slope is known as badly, and what the points do not show of the cell counts. Without it, cells
+ * at the upper edge of a stone would take a slope along the ray, and a sigma of nothing. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -17,6 +23,7 @@
 static const double STEEPEST = 4;           /* slopes beyond are steps, and their sigma is their scatter's */
 static const double UNKNOWN_SLOPE = 0.5;    /* standard deviation of a slope that is not known */
 static const double EXPECTED_SCATTER = 4;   /* times its variance: chance, and matching's tails */
+static const double HIDDEN = 0.25;          /* share of the relief around that even many points may miss */
 static const double LEAST_VARIANCE = 1e-10; /* m^2: (10 um)^2 */
 
 static double dot(const double a[3], const double b[3])
@@ -119,7 +126,7 @@ static void find_slope(td_frame_cell *cell, const td_frame_cells *c, const td_fr
 {
     const int column = cell->cell % TD_TILE_SIDE, row = cell->cell / TD_TILE_SIDE;
     const double side = c->fusion->options.cell_m;
-    double n = 0, x = 0, y = 0, z = 0, xx = 0, xy = 0, yy = 0, xz = 0, yz = 0;
+    double n = 0, x = 0, y = 0, z = 0, xx = 0, xy = 0, yy = 0, xz = 0, yz = 0, zz = 0;
     for (int dy = -1; dy <= 1; dy++)
         for (int dx = -1; dx <= 1; dx++) {
             const td_frame_cell *other = neighbour(c, tile, column + dx, row + dy);
@@ -128,16 +135,19 @@ static void find_slope(td_frame_cell *cell, const td_frame_cells *c, const td_fr
             n++;
             x += u, y += v, z += h;
             xx += u * u, xy += u * v, yy += v * v;
-            xz += u * h, yz += v * h;
+            xz += u * h, yz += v * h, zz += h * h;
         }
     xx -= x * x / n, xy -= x * y / n, yy -= y * y / n;
-    xz -= x * z / n, yz -= y * z / n;
+    xz -= x * z / n, yz -= y * z / n, zz -= z * z / n;
     const double det = xx * yy - xy * xy;
     double g[2] = {0, 0}, noise = INFINITY;
-    if (n >= 3 && det > 0.05 * side * side * side * side) { /* three cells of an L have a third */
+    cell->relief = 0;
+    if (n >= 5 && det > 0.05 * side * side * side * side) {
+        const double matching = mean_variance(cell, c, tile);
         g[0] = (yy * xz - xy * yz) / det;
         g[1] = (xx * yz - xy * xz) / det;
-        noise = mean_variance(cell, c, tile) * fmax(xx, yy) / det;
+        cell->relief = fmax(0, (zz - g[0] * xz - g[1] * yz) / fmax(n - 3, 1) - matching);
+        noise = (matching + cell->relief) * fmax(xx, yy) / det;
     }
     const double ground = UNKNOWN_SLOPE * UNKNOWN_SLOPE;
     const double trust = ground / (ground + noise), length = trust * hypot(g[0], g[1]);
@@ -200,7 +210,8 @@ static td_measure measure(const td_frame_cells *c, const td_frame_tile *tile, co
     const double one = (along * along + sideways) * depth; /* variance of one point's height */
     const double matching = one * averaged(cell, c) + LEAST_VARIANCE;
     const double scatter = fmax(0, cell->residual / cell->weight - EXPECTED_SCATTER * one);
-    const double off = cell->slope_variance * (cell->x * cell->x + cell->y * cell->y);
+    const double off = cell->slope_variance * (cell->x * cell->x + cell->y * cell->y) +
+                       (HIDDEN + (1 - HIDDEN) / cell->count) * cell->relief;
     const double pose = td_frame_pose_variance(c, p, up);
     return (td_measure){.height = from[2] + cell->z - cell->slope[0] * cell->x - cell->slope[1] * cell->y,
                         .noise = matching + scatter + off + pose,
