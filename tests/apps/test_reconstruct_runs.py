@@ -174,7 +174,7 @@ int rename(const char *from, const char *to)
 
 
 def test_kills_between_files():
-    """Two files a frame, the map's and the progress; then five products."""
+    """Three files a frame, the picture's, the map's and the progress; then the products."""
     if SANITIZED or not shutil.which("cc"):
         skip("kills between files: no C compiler, or a sanitized program")
         return
@@ -182,7 +182,7 @@ def test_kills_between_files():
         file.write(DEADLY)
     subprocess.run(["cc", "-D_GNU_SOURCE", "-shared", "-fPIC", "-o", f"{work}/deadly.so", f"{work}/deadly.c"], check=True)
     folder, resumed = f"{work}/between", []
-    for at in range(1, 2 * COUNT + 6) if FULL else (3, 4, 2 * COUNT + 1):
+    for at in range(1, 3 * COUNT + 9) if FULL else (2, 5, 3 * COUNT + 1):
         code, _, _ = run("reconstruct", site, "-o", folder, *how, env={"LD_PRELOAD": f"{work}/deadly.so", "KILL_AT": str(at)})
         check(code in (0, -signal.SIGKILL) and whole(folder), f"killed after file {at}: nothing in part")
         resumed.append(again(folder, f"killed after file {at}"))
