@@ -11,8 +11,10 @@
  * - scatter: where the points lie off the plane by far more than matching explains, the cell holds an edge or
  * a stone, of which another view may see another part: the rest of their variance counts whole;
  * - relief: where the means around lie off their plane by more than matching explains, the ground is no plane
- * there: the slope is known as badly, and what the points do not show of the cell counts. Without it, cells
- * at the upper edge of a stone would take a slope along the ray, and a sigma of nothing. */
+ * there: the slope is known as badly, and what the points do not show of the cell counts. (Points that show
+ * all but a strip h of the cell have their mean h / 2 of the cell away from its centre; the strip's part in
+ * the mean is h, and it lies the farther off the wider it is: h^2 relief^0.5 together.) Without it, cells at
+ * the upper edge of a stone would take a slope along the ray, and a sigma of nothing. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -23,7 +25,6 @@
 static const double STEEPEST = 4;           /* slopes beyond are steps, and their sigma is their scatter's */
 static const double UNKNOWN_SLOPE = 0.5;    /* standard deviation of a slope that is not known */
 static const double EXPECTED_SCATTER = 4;   /* times its variance: chance, and matching's tails */
-static const double HIDDEN = 0.25;          /* share of the relief around that even many points may miss */
 static const double LEAST_VARIANCE = 1e-10; /* m^2: (10 um)^2 */
 
 static double dot(const double a[3], const double b[3])
@@ -210,8 +211,10 @@ static td_measure measure(const td_frame_cells *c, const td_frame_tile *tile, co
     const double one = (along * along + sideways) * depth; /* variance of one point's height */
     const double matching = one * averaged(cell, c) + LEAST_VARIANCE;
     const double scatter = fmax(0, cell->residual / cell->weight - EXPECTED_SCATTER * one);
-    const double off = cell->slope_variance * (cell->x * cell->x + cell->y * cell->y) +
-                       (HIDDEN + (1 - HIDDEN) / cell->count) * cell->relief;
+    const double away = hypot(cell->x, cell->y);
+    const double hidden = fmin(1, 2 * away / c->fusion->options.cell_m);
+    const double off =
+        cell->slope_variance * away * away + (pow(hidden, 4) + 1 / (double)cell->count) * cell->relief;
     const double pose = td_frame_pose_variance(c, p, up);
     return (td_measure){.height = from[2] + cell->z - cell->slope[0] * cell->x - cell->slope[1] * cell->y,
                         .noise = matching + scatter + off + pose,
