@@ -14,8 +14,7 @@
 
 static const double SECOND = 1e9;
 
-/* Lateness against the grid of sleeps of one period each, in the clock's own buckets: a clock whose sleep
- * does not look at the deadline would be the same. */
+/* Lateness of plain sleeps of one period each, against the grid that they should keep. */
 static double sleeps_late_us(int64_t period_ns, int ticks, double share)
 {
     double *late = calloc((size_t)ticks, sizeof *late);

@@ -136,6 +136,7 @@ static void test_back(void **state)
         }
         assert_string_equal(info->channel[1].schema_name, "one");
         assert_memory_equal(info->channel[1].schema, "{}", 2);
+        assert_ptr_equal(info->channel[0].schema, info->channel[1].schema); /* stored once */
         check_messages(reader, items, MESSAGES, NULL, 0);
         check_messages(reader, items, MESSAGES, (const bool[]){true, false, true}, 0);
         check_messages(reader, items, MESSAGES, (const bool[]){false, true, false},
@@ -225,6 +226,37 @@ static void test_damage(void **state)
     /* What is read past unseen: the names of the writer, lists of messages. */
     print_message("%zu of %zu single bits refused\n", refused, 8 * size);
     check_less(0.7 * 8 * (double)size, (double)refused);
+    free(bytes);
+    free(path);
+}
+
+/* An index whose times are not its chunks' would put messages out of order. */
+static void test_lying_index(void **state)
+{
+    enum { FEW = 12 };
+    static item items[FEW];
+    td_error error = {0};
+    td_mcap_reader *reader = NULL;
+    td_mcap_message m;
+    bool more;
+    char *path = td_path_join(*state, "l.mcap"), *bytes = NULL;
+    size_t size;
+    make_items(items, FEW, 0);
+    write_file(path, items, FEW, 1 << 20);
+    check_ok(td_file_read(&bytes, &size, path, 1 << 20, &error), error);
+    td_mcap_bytes all = {(unsigned char *)bytes + TD_MCAP_MAGIC_SIZE, size - 2 * TD_MCAP_MAGIC_SIZE, false},
+                  one;
+    for (int kind = 0; kind != TD_MCAP_FOOTER;) {
+        kind = td_mcap_record(&one, &all);
+        assert_true(kind > 0);
+        char *content = bytes + (one.at - (unsigned char *)bytes);
+        if (kind == TD_MCAP_CHUNK_INDEX) content[0]++;
+        if (kind == TD_MCAP_FOOTER) memset(content + 16, 0, 4); /* no sum */
+    }
+    check_ok(td_mcap_parse(&reader, bytes, size, 0, "l.mcap", &error), error);
+    check_fails(td_mcap_next(reader, &m, &more, &error), TD_ERROR_FORMAT, error,
+                "l.mcap: a message lies outside");
+    td_mcap_free(&reader);
     free(bytes);
     free(path);
 }
@@ -508,6 +540,7 @@ int main(void)
         cmocka_unit_test_setup_teardown(test_nothing, scratch_make, scratch_remove),
         cmocka_unit_test_setup_teardown(test_same_bytes, scratch_make, scratch_remove),
         cmocka_unit_test_setup_teardown(test_damage, scratch_make, scratch_remove),
+        cmocka_unit_test_setup_teardown(test_lying_index, scratch_make, scratch_remove),
         cmocka_unit_test_setup_teardown(test_killed, scratch_make, scratch_remove),
         cmocka_unit_test_setup_teardown(test_recover_damage, scratch_make, scratch_remove),
         cmocka_unit_test_setup_teardown(test_memory, scratch_make, scratch_remove),
