@@ -223,28 +223,33 @@ td_status td_file_write(const char *path, const void *bytes, size_t size, td_err
     return td_file_write_parts(path, whole_part, &w, error);
 }
 
-td_status td_file_part_begin(int *fd, const char *part, const char *path, td_error *error)
+/* Locked by us, and still of that name: the process that had it may have put it in its place meanwhile. A
+ * file system without locks says ENOLCK or EINVAL: nothing can be done there. */
+static bool is_ours(int fd, const char *part)
 {
     struct flock all = {.l_type = F_WRLCK, .l_whence = SEEK_SET};
+    struct stat opened, named;
+    if (fcntl(fd, F_SETLK, &all) != 0 && (errno == EACCES || errno == EAGAIN)) return false;
+    return fstat(fd, &opened) == 0 && stat(part, &named) == 0 && opened.st_ino == named.st_ino &&
+           opened.st_dev == named.st_dev;
+}
+
+td_status td_file_part_begin(int *fd, const char *part, const char *path, td_error *error)
+{
     TD_TRY(check_place(path, error));
     TD_TRY(check_place(part, error));
     int opened;
     do opened = open(part, O_WRONLY | O_CREAT | O_CLOEXEC | O_NOCTTY, 0644);
     while (opened < 0 && errno == EINTR);
     if (opened < 0) return write_failed(part, errno, error);
-    /* Emptied only once it is ours. A file system without locks says ENOLCK or EINVAL: nothing can be done.
-     */
-    int cause = 0;
-    if (fcntl(opened, F_SETLK, &all) != 0 && (errno == EACCES || errno == EAGAIN)) cause = errno;
-    if (cause) {
+    if (!is_ours(opened, part)) {
         close(opened);
         return td_fail(error, TD_ERROR_IO,
-                       "%s: is being written by another process; wait for its end, or choose "
-                       "another name",
+                       "%s: is being written by another process; wait for its end, or choose another name",
                        path);
     }
     if (ftruncate(opened, 0) != 0) {
-        cause = errno;
+        const int cause = errno;
         close(opened);
         return write_failed(part, cause, error);
     }

@@ -370,12 +370,13 @@ static td_text statistics(const td_mcap_writer *w)
 
 static td_status write_end(td_mcap_writer *w)
 {
-    td_text end = {0}, counts = statistics(w), offsets = {0};
+    td_text end = {0}, counts, offsets = {0};
     put_prefix(&end, TD_MCAP_DATA_END, 4);
     put(&end, w->sum, 4);
     TD_TRY(add_text(w, &end));
     const uint64_t summary = w->offset;
     w->sum = 0;
+    counts = statistics(w);
     const struct {
         int kind;
         td_text *records;
