@@ -6,7 +6,9 @@
 
 #include "sim/world_internal.h"
 
-static const double CFM = 1e-12;    /* more lets joints creep, 0 makes the equations singular */
+/* Joints are set anew along their freedom at each step, so that what softness leaves of them would act as a force
+ * that grows as the step falls; 0 makes ODE complain of its equations. */
+static const double CFM = 1e-18;
 static const double BURIED_M = 0.1; /* how deep the last link may start */
 static const double QUIET = 1e-7;   /* m/s, rad/s: at rest */
 static const double SETTLES_S = 30, CHECKS_S = 0.25;
