@@ -102,6 +102,8 @@ static td_status build(td_world *w, const td_robot *robot, td_error *error)
     if (w->options.machine.base == TD_MACHINE_SUSPENDED) td_world_build_tracks(w);
     for (int k = 0; k < robot->joint_count; k++)
         w->q[k] = fmax(robot->joint[k].lower, fmin(robot->joint[k].upper, 0));
+    w->valve_gain_s = -hold.valve_s * expm1(-w->options.step_s / hold.valve_s);
+    w->belt_gain = -expm1(-w->options.step_s / w->options.tracks.lag_s);
     w->fresh = true;
     td_world_place(w);
     return TD_OK;

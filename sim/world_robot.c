@@ -362,7 +362,7 @@ static void move_base(td_world *w)
 static void advance_hydraulics(td_world *w)
 {
     const td_machine *m = w->machine;
-    const double h = w->options.step_s, lag = m->options.valve_s;
+    const double h = w->options.step_s;
     double force_rate[TD_ROBOT_MAX_JOINTS], valve_rate[TD_ROBOT_MAX_JOINTS], push[TD_ROBOT_MAX_JOINTS];
     td_machine_view v;
     td_world_view(&v, w);
@@ -371,7 +371,7 @@ static void advance_hydraulics(td_world *w)
     for (int k = 0; k < m->robot.joint_count; k++) {
         const double own = w->slope[k].force[2];
         w->force[k] += force_rate[k] * (own < 0 ? expm1(h * own) / own : h);
-        w->valve[k] -= valve_rate[k] * lag * expm1(-h / lag);
+        w->valve[k] += valve_rate[k] * w->valve_gain_s;
     }
 }
 

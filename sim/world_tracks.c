@@ -144,7 +144,7 @@ static void push_point(td_world *w, td_world_point *p, const double at[3], const
     forwards(way, w, normal);
     for (int i = 0; i < 3; i++) sliding[i] = v[i] - leaving * normal[i] - belt * way[i];
     shear(force, p, w, normal, sliding, belt, pressed);
-    const double rolling = w->options.tracks.rolling * pressed * tanh(belt / ROLLS_M_S);
+    const double rolling = w->options.tracks.rolling * pressed * (belt == 0 ? 0 : tanh(belt / ROLLS_M_S));
     for (int i = 0; i < 3; i++) {
         force[i] += pressed * normal[i] - rolling * way[i];
         w->track_force[p->right][i] += force[i];
@@ -155,8 +155,7 @@ static void push_point(td_world *w, td_world_point *p, const double at[3], const
 
 td_status td_world_tracks_push(td_world *w, td_error *error)
 {
-    const double follow = -expm1(-w->options.step_s / w->options.tracks.lag_s);
-    for (int side = 0; side < 2; side++) w->belt[side] += follow * (w->wanted[side] - w->belt[side]);
+    for (int side = 0; side < 2; side++) w->belt[side] += w->belt_gain * (w->wanted[side] - w->belt[side]);
     memset(w->track_force, 0, sizeof w->track_force);
     memset(w->touching, 0, sizeof w->touching);
     for (int i = 0; i < w->point_count; i++) {
