@@ -64,6 +64,9 @@ void bench_integrator(const bench *b);
 /* bench_dynamics.c */
 void bench_dynamics(const bench *b);
 
+/* bench_world.c */
+void bench_world(const bench *b);
+
 /* bench_opencv.cpp: OpenCV on the same points. n views of (points,2) pixels in each image; outputs RMS (px),
  * baseline (m). */
 typedef struct bench_stereo {
