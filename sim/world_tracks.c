@@ -94,18 +94,12 @@ td_status td_world_check_tracks(const td_world *w, td_error *error)
 
 /* ---- forces ---- */
 
-/* The vehicle's forward direction along the ground. */
-static void forwards(double way[3], const td_world *w, const double normal[3])
+/* What of the vehicle's forward direction is along the ground. */
+static void forwards(double way[3], const double turn[9], const double normal[3])
 {
-    static const double x[3] = {1, 0, 0};
-    td_pose_rotate(way, &w->body[0].pose, x);
-    const double out = way[0] * normal[0] + way[1] * normal[1] + way[2] * normal[2];
-    double square = 0;
-    for (int c = 0; c < 3; c++) {
-        way[c] -= out * normal[c];
-        square += way[c] * way[c];
-    }
-    for (int c = 0; c < 3; c++) way[c] = square > 0 ? way[c] / sqrt(square) : 0;
+    const double out = turn[0] * normal[0] + turn[3] * normal[1] + turn[6] * normal[2];
+    const double length = sqrt(fmax(1e-12, 1 - out * out));
+    for (int c = 0; c < 3; c++) way[c] = (turn[3 * c] - out * normal[c]) / length;
 }
 
 /* Shear's force, its e moved on by a step; limited to friction times `pressed`. */
@@ -132,8 +126,8 @@ static void shear(double force[3], td_world_point *p, const td_world *w, const d
     }
 }
 
-static void push_point(td_world *w, td_world_point *p, const double at[3], const double normal[3],
-                       double depth)
+static void push_point(td_world *w, td_world_point *p, const double turn[9], const double at[3],
+                       const double normal[3], double depth)
 {
     const double *k = w->machine->robot.suspension_n_m, *c = w->machine->robot.suspension_ns_m;
     const double belt = w->belt[p->right], factor = w->options.machine.suspension;
@@ -141,7 +135,7 @@ static void push_point(td_world *w, td_world_point *p, const double at[3], const
     td_world_base_velocity(v, w, at);
     const double leaving = v[0] * normal[0] + v[1] * normal[1] + v[2] * normal[2];
     const double pressed = fmax(0, p->weight * (k[0] * depth - factor * c[0] * leaving));
-    forwards(way, w, normal);
+    forwards(way, turn, normal);
     for (int i = 0; i < 3; i++) sliding[i] = v[i] - leaving * normal[i] - belt * way[i];
     shear(force, p, w, normal, sliding, belt, pressed);
     const double rolling = w->options.tracks.rolling * pressed * (belt == 0 ? 0 : tanh(belt / ROLLS_M_S));
@@ -156,12 +150,16 @@ static void push_point(td_world *w, td_world_point *p, const double at[3], const
 td_status td_world_tracks_push(td_world *w, td_error *error)
 {
     for (int side = 0; side < 2; side++) w->belt[side] += w->belt_gain * (w->wanted[side] - w->belt[side]);
+    double turn[9];
+    td_pose_rotation(turn, &w->body[0].pose);
     memset(w->track_force, 0, sizeof w->track_force);
     memset(w->touching, 0, sizeof w->touching);
     for (int i = 0; i < w->point_count; i++) {
         td_world_point *p = w->point + i;
+        const double *r = p->at, *t = w->body[0].pose.t;
         double at[3], normal[3], height;
-        td_pose_transform(at, &w->body[0].pose, p->at);
+        for (int c = 0; c < 3; c++)
+            at[c] = turn[3 * c] * r[0] + turn[3 * c + 1] * r[1] + turn[3 * c + 2] * r[2] + t[c];
         if (!td_world_normal(normal, &height, w, at[0], at[1]))
             return td_fail(
                 error, TD_ERROR_DATA,
@@ -170,7 +168,7 @@ td_status td_world_tracks_push(td_world *w, td_error *error)
                 td_world_time(w), p->right ? "right" : "left", w->machine->robot.name, at[0], at[1]);
         const double depth = (height - at[2]) * normal[2];
         if (depth > 0)
-            push_point(w, p, at, normal, depth);
+            push_point(w, p, turn, at, normal, depth);
         else
             memset(p->shear, 0, sizeof p->shear);
     }
