@@ -6,11 +6,14 @@
 
 #include "sim/world_internal.h"
 
-/* Joints are set anew along their freedom at each step, so that what softness leaves of them would act as a force
- * that grows as the step falls; 0 makes ODE complain of its equations. */
+/* Joints are set anew along their freedom at each step, so that what softness leaves of them would act as a
+ * force that grows as the step falls; 0 makes ODE complain of its equations. */
 static const double CFM = 1e-18;
 static const double BURIED_M = 0.1; /* how deep the last link may start */
 static const double QUIET = 1e-7;   /* m/s, rad/s: at rest */
+/* ODE aborts the program on numbers that are none: what grows beyond this (rad/s, m/s; N) is refused before.
+ */
+static const double FASTEST = 1e4, STRONGEST_N = 1e9;
 static const double SETTLES_S = 30, CHECKS_S = 0.25;
 
 td_world_options td_world_options_default(const td_robot *robot)
@@ -142,6 +145,17 @@ void td_world_set_ground(td_world *w, const td_elevation *ground)
 
 /* ---- its state ---- */
 
+/* The largest of its speeds; infinite when one is no number. */
+static double fastest(const td_world *w)
+{
+    double most = 0;
+    for (int i = 0; i < 6 + w->machine->robot.joint_count; i++) {
+        const double speed = fabs(w->velocity[i]);
+        if (!(speed <= most)) most = isnan(speed) ? INFINITY : speed;
+    }
+    return most;
+}
+
 static void still(td_world *w)
 {
     memset(w->velocity, 0, sizeof w->velocity);
@@ -185,6 +199,10 @@ static void take(td_world *w, const td_plant_state *s)
 static td_status check_place(const td_world *w, td_error *error)
 {
     int link = 0;
+    if (!(fastest(w) < FASTEST))
+        return td_fail(error, TD_ERROR_ARGUMENT,
+                       "world: machine '%s' starts at %g rad/s or m/s; the limit is %g",
+                       w->machine->robot.name, fastest(w), FASTEST);
     TD_TRY(td_world_check_tracks(w, error));
     const double depth = w->options.buried ? 0 : td_world_buried(w, &link);
     if (depth > BURIED_M)
@@ -226,22 +244,15 @@ static td_status bear(td_world *w, td_error *error)
     return TD_OK;
 }
 
-static bool quiet(const td_world *w)
-{
-    double most = 0;
-    for (int i = 0; i < 6 + w->machine->robot.joint_count; i++) most = fmax(most, fabs(w->velocity[i]));
-    return most < QUIET;
-}
-
 static td_status rest(td_world *w, td_error *error)
 {
     const double time = td_world_time(w);
     TD_TRY(bear(w, error));
     for (double t = 0; t < SETTLES_S && w->options.machine.base == TD_MACHINE_SUSPENDED; t += CHECKS_S) {
         TD_TRY(td_world_step(w, CHECKS_S, error));
-        if (quiet(w)) break;
+        if (fastest(w) < QUIET) break;
     }
-    if (w->options.machine.base == TD_MACHINE_SUSPENDED && !quiet(w))
+    if (w->options.machine.base == TD_MACHINE_SUSPENDED && !(fastest(w) < QUIET))
         return td_fail(
             error, TD_ERROR_CONVERGENCE,
             "world: machine '%s' finds no rest on the ground at (%.3f, %.3f) m: it slides or tips; start "
@@ -334,9 +345,10 @@ td_status td_world_push(td_world *w, int link, const double force[3], const doub
     td_world_body *b = w->body + w->body_of[link];
     double *sum = w->inside_step ? b->step_push : b->push, arm[3], moment[3];
     for (int c = 0; c < 3; c++) {
-        if (!isfinite(force[c]) || !isfinite(point[c]))
-            return td_fail(error, TD_ERROR_ARGUMENT, "world: a push on link '%s' is no number",
-                           w->machine->robot.link[link].name);
+        if (!(fabs(force[c]) <= STRONGEST_N) || !isfinite(point[c]))
+            return td_fail(error, TD_ERROR_ARGUMENT,
+                           "world: a push of %g N on link '%s' is no number, or beyond %g N", force[c],
+                           w->machine->robot.link[link].name, STRONGEST_N);
         arm[c] = point[c] - b->at[c];
     }
     td_machine_cross(moment, arm, force);
@@ -349,7 +361,6 @@ td_status td_world_push(td_world *w, int link, const double force[3], const doub
 
 static td_status one_step(td_world *w, td_error *error)
 {
-    double sum = 0;
     if (w->options.before_step) {
         w->inside_step = true;
         w->options.before_step(w->options.before_step_user, w);
@@ -363,11 +374,9 @@ static td_status one_step(td_world *w, td_error *error)
     w->steps++;
     for (int i = 0; i < w->body_count && w->options.before_step; i++)
         memset(w->body[i].step_push, 0, sizeof w->body[i].step_push);
-    for (int i = 0; i < 6 + w->machine->robot.joint_count; i++) sum += w->velocity[i] + w->ahead[i];
-    for (int c = 0; c < 3; c++) sum += w->body[0].pose.t[c];
-    if (isfinite(sum)) return TD_OK;
+    if (fastest(w) < FASTEST) return TD_OK;
     return td_fail(error, TD_ERROR_CONVERGENCE,
-                   "world: machine '%s' has no state at %.3f s: its step is too long for what acts on it",
+                   "world: machine '%s' speeds away at %.3f s: its step is too long for what acts on it",
                    w->machine->robot.name, td_world_time(w));
 }
 

@@ -114,7 +114,8 @@ typedef struct td_world_stone {
 TD_API td_status td_world_add_stone(td_world *world, int *index, const td_world_stone *stone,
                                     td_error *error);
 TD_API int td_world_stone_count(const td_world *world);
-/* twist: omega, v (site's axes; may be NULL). False: it left the ground's map and was stopped there. */
+/* twist: omega, v (site's axes; may be NULL). False: it left the ground's map, or sped away, and was stopped
+ * there. */
 TD_API bool td_world_stone_at(td_pose *site_from_stone, double twist[6], const td_world *world, int index);
 
 /* A plant over it. The plant's free frees the world. */

@@ -55,7 +55,7 @@ struct td_world {
     double lever[TD_ROBOT_MAX_JOINTS];
     td_hydraulics_slope slope[TD_ROBOT_MAX_JOINTS];
     double valve_gain_s, belt_gain; /* what their lags let through in a step */
-    bool fresh; /* velocities are still at the positions' time */
+    bool fresh;                     /* velocities are still at the positions' time */
     double begun_s, owed_s;
     long long steps;
 

@@ -9,6 +9,7 @@ static const double PLATE_M = 0.05; /* thickness of the hollow bucket's plates *
 /* Contact: a tenth of a penetration is taken back in a step; the softness keeps the equations of many
  * contacts of one body regular. */
 static const double CONTACT_ERP = 0.1, CONTACT_CFM = 1e-9;
+static const double FASTEST = 1e4; /* m/s, rad/s */
 
 static void set_offset(dGeomID geom, const td_world_body *b, const td_pose *body_from_shape)
 {
@@ -249,6 +250,15 @@ static bool touch_ground(td_world *w, const td_world_stone_body *b)
     return true;
 }
 
+/* ODE aborts the program on numbers that are none, which grow out of speeds that no stone has. */
+static bool runs_away(dBodyID body)
+{
+    const dReal *v = dBodyGetLinearVel(body), *turn = dBodyGetAngularVel(body);
+    double most = 0;
+    for (int c = 0; c < 3; c++) most += fabs(v[c]) + fabs(turn[c]);
+    return !(most < FASTEST);
+}
+
 void td_world_touch(td_world *w)
 {
     if (w->stone_count == 0) return;
@@ -257,9 +267,12 @@ void td_world_touch(td_world *w)
     dSpaceCollide(w->stone_space, w, touch_pair);
     for (int i = 0; i < w->stone_count; i++) {
         td_world_stone_body *b = w->stone + i;
-        if (b->ode && !b->lost && !touch_ground(w, b)) {
+        if (b->ode && !b->lost && (runs_away(b->ode) || !touch_ground(w, b))) {
             b->lost = true;
+            dBodySetLinearVel(b->ode, 0, 0, 0);
+            dBodySetAngularVel(b->ode, 0, 0, 0);
             dBodyDisable(b->ode);
+            dGeomDisable(b->geom);
         }
     }
 }

@@ -120,10 +120,10 @@ static double apart_over(const td_robot *robot, const td_world_options *o, const
 
 static void test_free_motion(void **unused)
 {
-    static const char *const names[3] = {"swinging", "floating", "with friction"};
-    td_robot *robot = zx200();
     (void)unused;
     check_statistics();
+    static const char *const names[3] = {"swinging", "floating", "with friction"};
+    td_robot *robot = zx200();
     robot->cylinder_count = 0; /* no stops: a bounce makes chaos of rounding */
     for (int k = 0; k < JOINTS; k++) robot->joint[k].lower = -INFINITY, robot->joint[k].upper = INFINITY;
     for (int kind = 0; kind < 3; kind++) {
@@ -153,6 +153,8 @@ static void test_free_motion(void **unused)
 /* 10 min with TELEDIMOS_FULL=1. */
 static void test_stand(void **unused)
 {
+    (void)unused;
+    check_statistics();
     const char *full = getenv("TELEDIMOS_FULL");
     const int minutes = full && strcmp(full, "1") == 0 ? 10 : 1;
     const double rise = tan(10 * PI / 180);
@@ -161,8 +163,6 @@ static void test_stand(void **unused)
     td_world *world = world_of(robot, map, NULL);
     td_plant_state s = state_of(0.4, -0.6, 1.6, 0.5), begun;
     double most = 0, tip[2][3];
-    (void)unused;
-    check_statistics();
     put(world, &s);
     td_world_state(world, &begun);
     tip_of(tip[0], robot, &begun);
@@ -612,6 +612,9 @@ static void test_refusals(void **unused)
     check_fails(td_world_reset(world, &s, &error), TD_ERROR_ARGUMENT, error, "link 'bucket_tip'");
     s.q[BOOM] = NAN;
     check_fails(td_world_reset(world, &s, &error), TD_ERROR_ARGUMENT, error, "position of joint 'boom'");
+    s.q[BOOM] = -0.6;
+    s.dq[BOOM] = 1e5;
+    check_fails(td_world_reset(world, &s, &error), TD_ERROR_ARGUMENT, error, "starts at 100000 rad/s");
     td_world_state(world, &later);
     assert_memory_equal(&before, &later, sizeof before); /* refused, it has changed nothing */
 
