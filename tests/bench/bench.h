@@ -66,6 +66,9 @@ void bench_dynamics(const bench *b);
 /* bench_clock.c */
 void bench_clock(const bench *b);
 
+/* bench_world.c */
+void bench_world(const bench *b);
+
 /* bench_opencv.cpp: OpenCV on the same points. n views of (points,2) pixels in each image; outputs RMS (px),
  * baseline (m). */
 typedef struct bench_stereo {
