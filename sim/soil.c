@@ -4,6 +4,9 @@
 #include <string.h>
 
 static const double MG = 1e-6, LEAP_M = 2, DEGREE = 0.017453292519943295;
+/* The grid's gradient is that of the slope along x and y, and up to 2 % more along diagonals: heaps stand off
+ * by half of it either way. */
+static const double BETWEEN = 1.01;
 enum { MAX_SETTLING = 1000000 };
 
 /* ---- what there is ---- */
@@ -62,7 +65,7 @@ static td_status set_units(td_soil *s, td_error *error)
     s->bank_m = MG / (p->density_kg_m3 * area);
     s->loose_m3 = MG * p->swell / p->density_kg_m3;
     s->loose_m = s->loose_m3 / area;
-    s->steep_m = tan(p->repose_rad) * s->map->cell_m;
+    s->steep_m = BETWEEN * tan(p->repose_rad) * s->map->cell_m;
     s->stand_m =
         4 * p->cohesion_pa / (p->density_kg_m3 * s->options.gravity) * tan(45 * DEGREE + p->friction_rad / 2);
     if (!(column >= 1000 && column * (double)s->known_cells < 1e18))

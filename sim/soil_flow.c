@@ -3,9 +3,8 @@
 
 #include <stdlib.h>
 
-/* Of the drop at repose: most that goes to a neighbour at once. More at once runs on beyond where it would
- * rest, and heaps come out too flat. */
-static const double MOST = 100;
+/* Of the drop at repose: most that goes to a neighbour at once. More would throw tall piles to one side. */
+static const double MOST = 1;
 /* By this share a slope may stand above repose before it moves, so that soil comes to rest: 0.1 deg. */
 static const double PLAY = 0.004;
 
@@ -59,8 +58,8 @@ static double lower_of(soil_place *to, const td_soil *s, soil_place p, int dx, i
     return drop;
 }
 
-/* Loose soil (m) to give to each: along the gradient, x = k a and y = k b, so that the steepness comes down to
- * repose, to first order: |(a - 2 x - y, b - x - 2 y)| = steep. */
+/* Loose soil (m) to give to each: along the gradient, x = k a and y = k b, so that the steepness comes down
+ * to repose, to first order: |(a - 2 x - y, b - x - 2 y)| = steep. */
 static void share(double give[2], const double drop[2], double steep)
 {
     const double square = drop[0] * drop[0] + drop[1] * drop[1];
