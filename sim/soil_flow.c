@@ -41,21 +41,17 @@ void soil_wake(td_soil *s, soil_place p)
     wake_one(s, p.column, p.row + 1);
 }
 
-/* The lower of two opposite neighbours, and the drop to it (0: none). Equal ones take turns. */
-static double lower_of(soil_place *to, const td_soil *s, soil_place p, int dx, int dy, double height)
+/* The lower of two opposite neighbours, `stride` cells apart from this one, and the drop to it (0: none; so
+ * for NaN: unknown ground is a wall). Equal ones take turns. */
+static double lower_of(int *way, const td_soil *s, size_t i, size_t stride, bool has_before, bool has_after,
+                       double height)
 {
-    double drop = 0;
-    for (int k = 0; k < 2; k++) {
-        const int sign = (k == 0) == (s->sweep < SOIL_CLASSES) ? 1 : -1;
-        const soil_place q = {p.column + sign * dx, p.row + sign * dy};
-        if (!soil_inside(s, q.column, q.row)) continue;
-        const double d = height - soil_surface(s, soil_index(s, q.column, q.row));
-        if (d > drop) { /* not for NaN: unknown ground is a wall */
-            drop = d;
-            *to = q;
-        }
-    }
-    return drop;
+    const double before = has_before ? height - soil_surface(s, i - stride) : 0;
+    const double after = has_after ? height - soil_surface(s, i + stride) : 0;
+    const bool turn = s->sweep < SOIL_CLASSES;
+    *way = before > after || (before == after && turn) || !(after > 0) ? -1 : 1;
+    const double drop = *way < 0 ? before : after;
+    return drop > 0 ? drop : 0;
 }
 
 /* Loose soil (m) to give to each: along the gradient, x = k a and y = k b, so that the steepness comes down
@@ -68,26 +64,15 @@ static void share(double give[2], const double drop[2], double steep)
     for (int n = 0; n < 2; n++) give[n] = k * drop[n] * (larger > most ? most / larger : 1);
 }
 
-static void give_loose(td_soil *s, soil_place from, soil_place to, int64_t mass)
-{
-    s->cell[soil_index(s, from.column, from.row)].loose -= mass;
-    s->cell[soil_index(s, to.column, to.row)].loose += mass;
-    soil_disturb(s, from);
-    soil_disturb(s, to);
-    wake_one(s, to.column, to.row);
-}
-
 /* Breaks off half of what stands too high: it is loose then, and flows by itself. */
-static bool collapse(td_soil *s, soil_place p, const soil_place to[2])
+static bool collapse(td_soil *s, soil_place p, size_t i, const size_t to[2])
 {
-    const size_t i = soil_index(s, p.column, p.row);
-    double drop[2] = {0, 0};
-    for (int k = 0; k < 2; k++)
-        if (to[k].column >= 0)
-            drop[k] = fmax(0, soil_bank(s, i) - soil_surface(s, soil_index(s, to[k].column, to[k].row)));
-    const double excess = hypot(drop[0], drop[1]) - s->steep_m * (1 + PLAY) - s->stand_m;
-    if (!(excess > 0)) return false;
-    int64_t mass = (int64_t)ceil(excess / 2 / s->bank_m);
+    const double bank = soil_bank(s, i), most = s->steep_m * (1 + PLAY) + s->stand_m;
+    double drop[2];
+    for (int k = 0; k < 2; k++) drop[k] = to[k] == i ? 0 : fmax(0, bank - soil_surface(s, to[k]));
+    const double square = drop[0] * drop[0] + drop[1] * drop[1];
+    if (!(square > most * most)) return false;
+    int64_t mass = (int64_t)ceil((sqrt(square) - most) / 2 / s->bank_m);
     if (mass > s->column_mg - s->cell[i].taken) mass = s->column_mg - s->cell[i].taken;
     s->cell[i].taken += mass;
     s->cell[i].loose += mass;
@@ -95,29 +80,48 @@ static bool collapse(td_soil *s, soil_place p, const soil_place to[2])
     return mass > 0;
 }
 
-/* True: the cell has moved, and must be looked at again. */
-static bool relax(td_soil *s, soil_place p)
+/* The two masses (mg) that a cell gives; never more than it has. */
+static void masses_of(int64_t mass[2], const td_soil *s, const double drop[2], int64_t loose)
 {
-    const size_t i = soil_index(s, p.column, p.row);
-    const double height = soil_surface(s, i), limit = s->steep_m * (1 + PLAY);
-    soil_place to[2] = {{-1, -1}, {-1, -1}};
-    const double drop[2] = {lower_of(to, s, p, 1, 0, height), lower_of(to + 1, s, p, 0, 1, height)};
-    if (!(drop[0] * drop[0] + drop[1] * drop[1] > limit * limit)) return false;
-    const bool broke = collapse(s, p, to);
-    const int64_t loose = s->cell[i].loose;
-    if (loose == 0) return broke;
     double give[2];
     share(give, drop, s->steep_m);
     const double all = (give[0] + give[1]) / s->loose_m;
-    const double part = all > (double)loose ? (double)loose / all : 1;
+    if (all < (double)loose) {
+        for (int k = 0; k < 2; k++) mass[k] = (int64_t)(give[k] / s->loose_m);
+        return;
+    }
+    /* The last of it goes whole, or a film of single milligrams would creep on; what rounding leaves goes the
+     * steeper way, or it would wander to and fro. */
+    const int steeper = give[1] > give[0];
+    mass[!steeper] = (int64_t)((double)loose * give[!steeper] / (give[0] + give[1]));
+    mass[steeper] = loose - mass[!steeper];
+}
+
+/* True: the cell has moved, and must be looked at again. */
+static bool relax(td_soil *s, soil_place p)
+{
+    const size_t i = soil_index(s, p.column, p.row), columns = (size_t)s->map->columns;
+    const double height = soil_surface(s, i), limit = s->steep_m * (1 + PLAY);
+    int way[2];
+    const double drop[2] = {lower_of(way, s, i, 1, p.column > 0, p.column + 1 < s->map->columns, height),
+                            lower_of(way + 1, s, i, columns, p.row > 0, p.row + 1 < s->map->rows, height)};
+    if (!(drop[0] * drop[0] + drop[1] * drop[1] > limit * limit)) return false;
+    const soil_place q[2] = {{p.column + way[0], p.row}, {p.column, p.row + way[1]}};
+    const size_t to[2] = {drop[0] > 0 ? (way[0] < 0 ? i - 1 : i + 1) : i,
+                          drop[1] > 0 ? (way[1] < 0 ? i - columns : i + columns) : i};
+    const bool broke = collapse(s, p, i, to);
     int64_t mass[2];
-    for (int k = 0; k < 2; k++) mass[k] = (int64_t)(part * give[k] / s->loose_m);
-    /* The last of it goes whole, or a film of single milligrams would creep on. */
-    if (part < 1) mass[give[1] > give[0]] = loose - mass[give[1] <= give[0]];
-    for (int k = 0; k < 2; k++)
-        if (mass[k] > 0) give_loose(s, p, to[k], mass[k]);
+    if (s->cell[i].loose == 0) return broke;
+    masses_of(mass, s, drop, s->cell[i].loose);
     if (mass[0] <= 0 && mass[1] <= 0) return broke;
-    soil_wake(s, p);
+    for (int k = 0; k < 2; k++) {
+        if (mass[k] <= 0) continue;
+        s->cell[i].loose -= mass[k];
+        s->cell[to[k]].loose += mass[k];
+        soil_disturb(s, q[k]);
+    }
+    soil_disturb(s, p);
+    soil_wake(s, p); /* with its neighbours, so also those that were given to */
     return true;
 }
 

@@ -110,8 +110,8 @@ static void heap(const char *name)
     td_elevation *map = flat(size, cell);
     td_soil *soil = soil_on(map, name);
     const td_soil_preset preset = preset_of(name);
-    for (int n = 0; n < 20; n++) {
-        check_ok(td_soil_pour(soil, size / 2, size / 2, 60000000, &error), error);
+    for (int n = 0; n < 10; n++) {
+        check_ok(td_soil_pour(soil, size / 2, size / 2, 120000000, &error), error);
         check_ok(td_soil_settle(soil, &error), error);
     }
     const td_soil_balance b = td_soil_balance_of(soil);
