@@ -13,8 +13,12 @@ enum { MAX_SETTLING = 1000000 };
 
 td_soil_options td_soil_options_default(void)
 {
-    return (td_soil_options){
-        .period_s = 0.02, .sweeps = 4, .floor_m = 5, .gravity = 9.80665, .slip_m_s = 0.01};
+    return (td_soil_options){.period_s = 0.02,
+                             .sweeps = 4,
+                             .flow_cells = 4000,
+                             .floor_m = 5,
+                             .gravity = 9.80665,
+                             .slip_m_s = 0.01};
 }
 
 static td_status check_options(const td_soil_options *o, td_error *error)
@@ -22,11 +26,9 @@ static td_status check_options(const td_soil_options *o, td_error *error)
     const struct {
         const char *name;
         double value, low, high;
-    } field[] = {{"period_s", o->period_s, 1e-4, 1},
-                 {"sweeps", o->sweeps, 1, 1000},
-                 {"floor_m", o->floor_m, 0.01, 100},
-                 {"gravity", o->gravity, 0.01, 100},
-                 {"slip_m_s", o->slip_m_s, 1e-6, 1}};
+    } field[] = {{"period_s", o->period_s, 1e-4, 1},    {"sweeps", o->sweeps, 1, 1000},
+                 {"flow_cells", o->flow_cells, 1, 1e9}, {"floor_m", o->floor_m, 0.01, 100},
+                 {"gravity", o->gravity, 0.01, 100},    {"slip_m_s", o->slip_m_s, 1e-6, 1}};
     for (size_t i = 0; i < sizeof field / sizeof *field; i++)
         if (!(field[i].value >= field[i].low && field[i].value <= field[i].high))
             return td_fail(error, TD_ERROR_ARGUMENT, "soil: %s: must be %g to %g, not %g", field[i].name,
@@ -313,7 +315,7 @@ static td_status update(td_soil *s, const td_pose *pose, double dt, td_error *er
         s->placed = true;
     }
     soil_fall(s, dt);
-    soil_flow(s, s->options.sweeps);
+    soil_flow(s);
     s->state.updates++;
     if (!s->failed) return TD_OK;
     s->failed = false;

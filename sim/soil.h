@@ -7,20 +7,24 @@
  * are unknown ground: nothing is dug there, nothing flows or falls in; so is what is beyond the map's edge.
  *
  * One update (td_soil_step runs them at the soil's own rate):
- * 1. The straight line between the edge's two places sweeps a surface. Where the face leads (rake from -5 to
- *    175 deg), soil above the surface goes into the bucket, up to its heap; the rest is pushed on, ahead of
- *    the edge. Where the back leads, loose soil under the floor is pressed back to the bank's density.
- * 2. Out of the soil the bucket holds, by the tilt t of its opening from upright and the angle of repose r:
- *    the heap down to the rim as t goes to r, and from there (r + 90 deg - t) / 90 deg of the struck volume.
- *    What is above falls (t = sqrt(2 h / g)), and lands below the edge, on known ground only: over
- *    unknown ground the bucket keeps it.
+ * 1. From its last place to this one the edge sweeps a surface. Where the face leads (rake from -5 to 175
+ *    deg), soil above the surface goes into the bucket, up to its heap; the rest is pushed on, ahead of the
+ *    edge. Where the back leads, loose soil that reaches above the floor is pressed to the bank's density.
+ * 2. Out of the soil the bucket holds, by the tilt of its opening from upright and the angle of repose: the
+ *    heap, down to the rim as the tilt goes to repose; then (repose + 90 deg - tilt) / 90 deg of the struck
+ *    volume. What is above falls for sqrt(2 h / g) and lands below the edge, on known ground only:
+ *    over unknown ground the bucket keeps it.
  * 3. Soil flows where it stands too steep: a cell gives to its lower neighbours in x and in y, a and b below,
  *    where sqrt(a^2 + b^2) > cell tan(r): the slope of an upwind gradient, so heaps come out round. Loose
  *    soil first; a bank gives way where it stands above that by more than its cohesion holds upright,
  *    4 c / (gamma) tan(45 deg + phi/2). Cells go by (column + 2 row) mod 5: crosses of one class
  *    do not touch, so the order within it cannot matter. Only cells near a change are looked at, so the cost
- *    does not grow with the map. A few sweeps an update; what still moves goes on in the next.
- * 4. The forces on the bucket, held until the next update.
+ *    does not grow with the map. A few sweeps an update, fewer when much moves; what
+ *    still moves goes on in the next.
+ * 4. The forces on the bucket, held until the next update: Luengo's wedge where the face leads, with the mean
+ *    depth and share of the edge in the ground ahead, the bucket's load as Vs, and the slope ahead
+ *    within 30 deg; the ground's bearing under the edge's thickness and the floor, where they are pushed
+ *    in; both times tanh(speed / slip_m_s), so that they vanish at rest; and the load's weight.
  *
  * The bucket is no wall to flowing soil. The same calls give the same bytes. */
 #ifndef TELEDIMOS_SIM_SOIL_H
@@ -54,7 +58,9 @@ TD_API td_soil_bucket td_soil_bucket_zx200(void);
 
 typedef struct td_soil_options {
     double period_s; /* of an update; default 0.02 */
-    int sweeps;      /* of flowing soil in an update; default 4 */
+    int sweeps;      /* of flowing soil in an update, at most; default 4 */
+    int flow_cells;  /* another sweep is begun only when that makes at most so many looks at cells: what an
+                        update may cost when much flows at once; default 4000 */
     double floor_m;  /* how far below the map's surface may be dug; default 5 */
     double gravity;  /* m/s^2; default 9.80665 */
     double slip_m_s; /* speed at which the soil's resistance is nearly whole; default 0.01 */

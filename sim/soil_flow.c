@@ -146,10 +146,14 @@ size_t soil_flowing(const td_soil *s)
     return count;
 }
 
-void soil_flow(td_soil *s, int sweeps)
+void soil_flow(td_soil *s)
 {
-    for (int n = 0; n < sweeps && soil_flowing(s) > 0; n++) {
+    size_t looked = 0, flowing = soil_flowing(s);
+    for (int n = 0; n < s->options.sweeps && flowing > 0; n++) {
+        if (n > 0 && looked + flowing > (size_t)s->options.flow_cells) break;
         for (int k = 0; k < SOIL_CLASSES; k++) sweep_class(s, &s->active[(s->sweep + k) % SOIL_CLASSES]);
         s->sweep = (s->sweep + 1) % (2 * SOIL_CLASSES);
+        looked += flowing;
+        flowing = soil_flowing(s);
     }
 }

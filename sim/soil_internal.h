@@ -121,7 +121,8 @@ bool soil_can_spread(td_soil *s, const soil_strip *strip);
 /* soil_flow.c */
 /* The cell and its neighbours will be looked at. */
 void soil_wake(td_soil *s, soil_place p);
-void soil_flow(td_soil *s, int sweeps);
+/* The sweeps of an update. */
+void soil_flow(td_soil *s);
 size_t soil_flowing(const td_soil *s);
 
 /* soil_bucket.c */
