@@ -290,7 +290,8 @@ static td_status check_motion(const td_soil *s, const soil_blade *to, const soil
                        "soil: the bucket's edge leapt by %.3g m in one update; use td_soil_place to put it "
                        "elsewhere",
                        motion->length);
-    if (depth > s->bucket.reach_m)
+    /* Soil may have flowed over it: it must be able to come out. */
+    if (depth > s->bucket.reach_m && (!s->placed || motion->by[2] < 0))
         return td_fail(
             error, TD_ERROR_DATA,
             "soil: the bucket is buried: its edge is %.3g m below the ground at (%.2f, %.2f), and it "

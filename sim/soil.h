@@ -81,9 +81,9 @@ TD_API void td_soil_free(td_soil **soil);
 /* Puts the bucket somewhere, without sweeping anything on the way. The first step does so by itself. */
 TD_API td_status td_soil_place(td_soil *soil, const td_pose *site_from_bucket, td_error *error);
 /* Goes on by dt; an update runs when a period is over, from the last update's pose to this one. NULL: the
- * bucket stays where it is. Refused, and nothing is changed: numbers that are none, a bucket that is buried
- * or leapt by more than 2 m (td_soil_place is for that). Out of memory, the soil is as after an update cut
- * short: all mass is there. */
+ * bucket stays where it is. Refused, and nothing is changed: numbers that are none, a bucket that goes
+ * deeper though it is buried, or leapt by more than 2 m (td_soil_place is for that). Out of memory, the soil
+ * is as after an update cut short: all mass is there. */
 TD_API td_status td_soil_step(td_soil *soil, const td_pose *site_from_bucket, double dt_s, td_error *error);
 /* Updates with the bucket at rest until all has landed and nothing flows. TD_ERROR_CONVERGENCE after 1e6. */
 TD_API td_status td_soil_settle(td_soil *soil, td_error *error);

@@ -509,6 +509,26 @@ static void unknown_ground_stays(void **state)
     td_elevation_free(&map);
 }
 
+/* Cells wider than the bucket: what falls between their centres falls on the nearest. */
+static void coarse_cells(void **state)
+{
+    (void)state;
+    td_elevation *map = flat(7, 3);
+    td_soil *soil = soil_on(map, "dirt_1");
+    const double from[3] = {1, 0, -0.1}, to[3] = {-0.6, 0, -0.1}, aside[3] = {4.4, 4.4, 1};
+    const td_pose start = pose_at(1, 0, -0.1, 0, DIG), over = pose_at(4.4, 4.4, 1, 0, UPRIGHT);
+    const int64_t total = td_soil_balance_of(soil).total_mg;
+    check_ok(td_soil_place(soil, &start, &error), error);
+    const td_soil_state full = drag(soil, from, to, 0, DIG, DIG, 8, total);
+    check_near((double)full.bucket_mg * MG, 0.8 * 1474 / 1.28, 1e-5);
+    check_ok(td_soil_place(soil, &over, &error), error);
+    assert_int_equal(drag(soil, aside, aside, 0, UPRIGHT, OVER - 20, 10, total).bucket_mg, 0);
+    check_ok(td_soil_settle(soil, &error), error);
+    check_less(0, td_soil_loose_height(soil, 4, 4));
+    td_soil_free(&soil);
+    td_elevation_free(&map);
+}
+
 static void walls_at_the_border(void **state)
 {
     (void)state;
@@ -554,6 +574,14 @@ static void refuses_by_name(void **state)
     check_ok(td_soil_step(soil, &above, 0.02, &error), error);
     check_ok(td_soil_hash(before, soil, &error), error);
     check_fails(td_soil_step(soil, &deep, 0.02, &error), TD_ERROR_DATA, error, "buried");
+    /* Buried by what fell on it, it can come out. */
+    const td_pose rising = pose_at(0, 0, -1.65, 0, DIG);
+    td_soil *under = NULL;
+    check_ok(td_soil_new(&under, map, &p, &b, NULL, &error), error);
+    check_fails(td_soil_step(under, &deep, 0.02, &error), TD_ERROR_DATA, error, "buried");
+    check_ok(td_soil_place(under, &deep, &error), error);
+    check_ok(td_soil_step(under, &rising, 0.02, &error), error);
+    td_soil_free(&under);
     const td_pose far = pose_at(0, 9, 0, 0, DIG);
     check_fails(td_soil_step(soil, &far, 0.02, &error), TD_ERROR_ARGUMENT, error, "leapt");
     td_pose bad = above;
@@ -626,6 +654,7 @@ int main(void)
         cmocka_unit_test(force_is_the_wedges),
         cmocka_unit_test(runs_at_its_own_rate),
         cmocka_unit_test(unknown_ground_stays),
+        cmocka_unit_test(coarse_cells),
         cmocka_unit_test(walls_at_the_border),
         cmocka_unit_test(refuses_by_name),
         cmocka_unit_test(heaps_rest_at_repose),
