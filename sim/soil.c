@@ -1,7 +1,6 @@
 #include "sim/soil_internal.h"
 
 #include <stdlib.h>
-#include <string.h>
 
 static const double MG = 1e-6, LEAP_M = 2, DEGREE = 0.017453292519943295;
 /* The grid's gradient is that of the slope along x and y, and up to 2 % more along diagonals: heaps stand off

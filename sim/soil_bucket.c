@@ -2,7 +2,6 @@
 #include "sim/soil_internal.h"
 
 #include <stdlib.h>
-#include <string.h>
 
 static const double PI = 3.14159265358979323846, DEGREE = 0.017453292519943295;
 static const double STRIP_M = 0.2; /* thickness of what falls or is pushed on, or two cells */
