@@ -25,7 +25,8 @@ typedef enum td_provenance {
     TD_CELL_PRIOR,    /* from a map that was given */
     TD_CELL_MEASURED, /* by one frame */
     TD_CELL_FUSED,    /* by several */
-    TD_CELL_FILLED    /* interpolated from its neighbours */
+    TD_CELL_FILLED,   /* interpolated from its neighbours */
+    TD_CELL_SIMULATED /* moved by a simulation: nobody has seen it */
 } td_provenance;
 
 typedef struct td_elevation {

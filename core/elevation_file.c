@@ -24,7 +24,7 @@ static const struct {
     [HEIGHT] = {"height", "m", -1e9, 1e9, false},
     [SIGMA] = {"sigma", "m", 0, 1e9, false},
     [COUNT] = {"count", "", 0, UINT32_MAX, true},
-    [PROVENANCE] = {"provenance", "", 0, TD_CELL_FILLED, true},
+    [PROVENANCE] = {"provenance", "", 0, TD_CELL_SIMULATED, true},
     [TIME] = {"time", "s", -INFINITY, INFINITY, false},
 };
 
@@ -229,7 +229,7 @@ static bool write_notes(const td_raster_module *module, void *raster, const td_e
         module->set_note(raster, "TELEDIMOS_FRAME", map->frame) &&
         module->set_note(raster, origin_note[0], td_number_format(x, map->origin[0], 0)) &&
         module->set_note(raster, origin_note[1], td_number_format(y, map->origin[1], 0)) &&
-        module->set_note(raster, "TELEDIMOS_PROVENANCE", "0 unknown, 1 prior, 2 measured, 3 fused, 4 filled");
+        module->set_note(raster, "TELEDIMOS_PROVENANCE", "0 unknown, 1 prior, 2 measured, 3 fused, 4 filled, 5 simulated");
     for (int b = 0; fine && b < BANDS; b++)
         fine = module->set_band(raster, b + 1, bands[b].name, bands[b].unit);
     return fine;

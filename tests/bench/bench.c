@@ -153,5 +153,6 @@ int main(int argc, char **argv)
     bench_integrator(&b);
     bench_clock(&b);
     bench_world(&b);
+    bench_soil(&b);
     return 0;
 }

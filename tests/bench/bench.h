@@ -61,6 +61,9 @@ void bench_render(const bench *b);
 /* bench_integrator.c */
 void bench_integrator(const bench *b);
 
+/* bench_soil.c */
+void bench_soil(const bench *b);
+
 /* bench_dynamics.c */
 void bench_dynamics(const bench *b);
 /* bench_clock.c */

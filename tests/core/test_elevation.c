@@ -34,7 +34,7 @@ static td_elevation *sample_map(void)
             map->height[i] = (float)surface(origin[0] + c * 0.5, origin[1] + r * 0.5);
             map->sigma[i] = (float)(0.001 * (i + 1));
             map->count[i] = (uint32_t)(i + 1);
-            map->provenance[i] = (uint8_t)(TD_CELL_PRIOR + i % 4);
+            map->provenance[i] = (uint8_t)(TD_CELL_PRIOR + i % 5);
             map->time_s[i] = 1.7e9 + i + 0.125;
         }
     map->count[1] = 4294967295u;
