@@ -307,9 +307,10 @@ static void linearise(clearance_margin *m, double *row, const margins *all, cons
                             .row = point->cell / columns};
     for (int k = 0; k < 4; k++)
         if (point->weight[k] != 0)
-            m->ground[k] = -n[2] * point->weight[k] *
+            m->ground[k] = -point->weight[k] *
                            clearance_cell_sigma(s->map, (size_t)(point->cell + (k & 1) + (k >> 1) * columns));
-    m->variance = variance + ground_variance(m->ground, rho);
+    m->up = n[2];
+    m->variance = variance + n[2] * n[2] * ground_variance(m->ground, rho);
 }
 
 static size_t compact(search *s)
@@ -349,28 +350,90 @@ static void set_likely(td_clearance *out, const search *s, const margins *all)
     out->likely_sigma_m = sqrt(all->margin[index].variance);
 }
 
+/* How shape and ground are displaced against each other at the point, by everything that is not the ground's
+ * own noise. */
+static void set_contact(clearance_contact *contact, const margins *all, const search *s, size_t index)
+{
+    const clearance_point *point = s->table.point + index;
+    const td_clearance_motion *motion = s->path->motion;
+    const clearance_state state = s->path->state[point->state];
+    const double *p = contact->p, *root = s->path->common;
+    const int link = s->path->link[point->shape];
+    td_pose site_from_link[TD_ROBOT_MAX_LINKS];
+    clearance_links(site_from_link, s->path, state);
+    *contact = (clearance_contact){.ground = s->map->elevation,
+                                   .shape = clearance_shape_of(s->path, point->shape, site_from_link),
+                                   .patch = point->patch,
+                                   .p = {point->p[0], point->p[1], point->p[2]},
+                                   .part = state.part};
+    if (point->patch) contact->p[2] += point->margin / point->n[2];
+    for (int k = 0; k < 6; k++) {
+        const double w[3] = {root[k], root[6 + k], root[12 + k]};
+        contact->move[k][0] = w[1] * p[2] - w[2] * p[1] + root[18 + k];
+        contact->move[k][1] = w[2] * p[0] - w[0] * p[2] + root[24 + k];
+        contact->move[k][2] = w[0] * p[1] - w[1] * p[0] + root[30 + k];
+    }
+    for (int a = 0; a < 3; a++) {
+        const double axis[3] = {a == 0, a == 1, a == 2};
+        double rate[TD_ROBOT_MAX_JOINTS];
+        clearance_joint_rates(rate, motion->robot, site_from_link, link, p, axis);
+        for (int k = 6; k < all->common; k++)
+            contact->move[k][a] = motion->sigma_zero ? rate[k - 6] * motion->sigma_zero[k - 6] : 0;
+        for (int k = 0; k < all->joints; k++) contact->shake[k][a] = rate[k] * motion->sigma_reading[k];
+    }
+}
+
+/* Numbers the readings that the contacts lie between, so that each has one noise. */
+static int number_knots(clearance_contact *contact, const clearance_margin *margin, const size_t *chosen,
+                        int points)
+{
+    int knots = 0;
+    for (int i = 0; i < points; i++)
+        for (int side = 0; side < 2; side++) {
+            const uint32_t knot = margin[chosen[i]].knot + (uint32_t)side;
+            contact[i].knot[side] = knots;
+            for (int j = 0; j < 2 * i + side; j++)
+                if (margin[chosen[j / 2]].knot + (uint32_t)(j % 2) == knot)
+                    contact[i].knot[side] = contact[j / 2].knot[j % 2];
+            if (contact[i].knot[side] == knots) knots++;
+        }
+    return knots;
+}
+
 /* Of the points, those that are the least sigma off, four times as many as may be used. */
-static td_status integrate(td_clearance *out, const margins *all, const td_clearance_options *options,
-                           td_error *error)
+static td_status integrate(td_clearance *out, const search *s, const margins *all,
+                           const td_clearance_options *options, td_error *error)
 {
     const size_t most = 4 * (size_t)options->points, count = all->count < most ? all->count : most;
-    clearance_margin *chosen = malloc((count ? count : 1) * sizeof *chosen);
-    if (!chosen) return td_fail(error, TD_ERROR_MEMORY, "no memory for the probability of contact");
-    for (size_t i = 0; i < count; i++) chosen[i] = all->margin[all->rank[i].index];
+    clearance_margin *margin = malloc((count ? count : 1) * sizeof *margin);
+    clearance_contact *contact = malloc((size_t)options->points * sizeof *contact);
+    size_t *chosen = malloc((size_t)options->points * sizeof *chosen);
+    td_status status = TD_OK;
+    int points = 0;
+    if (count && all->rank[0].z < -2 * CLEARANCE_SIGMAS) {
+        out->probability = 1;
+        goto done;
+    }
+    if (!margin || !contact || !chosen)
+        status = td_fail(error, TD_ERROR_MEMORY, "no memory for the probability of contact");
+    for (size_t i = 0; status == TD_OK && i < count; i++) margin[i] = all->margin[all->rank[i].index];
     const clearance_integral integral = {.count = count,
-                                         .margin = chosen,
+                                         .margin = margin,
                                          .common_count = all->common,
                                          .joints = all->joints,
                                          .correlation_cells = all->correlation_cells,
                                          .points = options->points,
                                          .draws = options->draws,
                                          .seed = options->seed};
-    td_status status = TD_OK;
-    if (count && all->rank[0].z < -2 * CLEARANCE_SIGMAS)
-        out->probability = 1;
-    else
-        status = clearance_probability(&out->probability, &out->sigma_probability, &out->left_out, &integral,
-                                       error);
+    if (status == TD_OK) status = clearance_choose(chosen, &points, &out->left_out, &integral, error);
+    for (int i = 0; status == TD_OK && i < points; i++)
+        set_contact(contact + i, all, s, all->rank[chosen[i]].index);
+    if (status == TD_OK)
+        status = clearance_integrate(&out->probability, &out->sigma_probability, &integral, contact, chosen,
+                                     points, number_knots(contact, margin, chosen, points), error);
+done:
+    free(margin);
+    free(contact);
     free(chosen);
     return status;
 }
@@ -393,7 +456,7 @@ static td_status weigh(td_clearance *out, search *s, const td_clearance_options 
         rank(&all, s, points);
         out->points = all.count;
         if (all.count) set_likely(out, s, &all);
-        status = integrate(out, &all, options, error);
+        status = integrate(out, s, &all, options, error);
     }
     free(all.margin);
     free(all.rows);

@@ -36,6 +36,8 @@ typedef struct clearance_shape {
 clearance_shape clearance_place_shape(const td_primitive *primitive, int link, const td_pose *site_from_link);
 /* Signed distance of a point of the site to the shape (negative inside), and its gradient: unit vector. */
 double clearance_distance(double gradient[3], const clearance_shape *shape, const double p[3]);
+/* Height at which a vertical line first meets the shape from below; INFINITY: it does not. */
+double clearance_underside(const clearance_shape *shape, double x, double y);
 /* The lines along which it may touch the ground between cells: edges of a box, axis of a capsule, centre of a
  * sphere (a line of no length). Returns how many; `round`: how far the surface is from them. */
 enum { CLEARANCE_LINES = 12 };
@@ -91,20 +93,24 @@ typedef struct clearance_visit {
     double limit;
 } clearance_visit;
 void clearance_near(clearance_visit *visit, const td_clearance_map *map, const clearance_shape *shape);
+/* Height of the surface; NaN beside unknown cells and outside. */
+double clearance_surface(const td_elevation *ground, double x, double y);
 /* Whether a shape reaches unknown cells, or the outside, below `top`; where. */
 bool clearance_unseen(double at[3], const td_clearance_map *map, const clearance_shape *shape, double top);
 
 /* ---- clearance_probability.c ---- */
 
-/* A margin as a function of the errors. */
+/* A margin as a function of the errors, to first order. */
+enum { CLEARANCE_COMMON = 6 + TD_ROBOT_MAX_JOINTS };
 typedef struct clearance_margin {
     double mean, variance;
     const double *common;  /* (common_count) by errors of sigma 1 that all share */
     const double *reading; /* (joints) by the noise of a reading, times its sigma */
     uint32_t knot;         /* the reading before, and the weight of the one after */
     double part;
-    int column, row; /* of the ground: cell, and four weights with n_z and the cells' sigma in them */
+    int column, row; /* of the ground: cell, and four weights with the cells' sigma in them, negative; */
     double ground[4];
+    double up; /* and what a rise of the ground makes of the margin */
 } clearance_margin;
 typedef struct clearance_integral {
     size_t count;
@@ -114,8 +120,27 @@ typedef struct clearance_integral {
     int points, draws;
     uint64_t seed;
 } clearance_integral;
-/* P(any margin < 0). */
-td_status clearance_probability(double *probability, double *sigma, double *left_out,
-                                const clearance_integral *integral, td_error *error);
+/* The margins (at most `points`) that matter for P(any < 0), and what the others add at most. */
+td_status clearance_choose(size_t *chosen, int *points, double *left_out, const clearance_integral *integral,
+                           td_error *error);
+
+/* A margin as it is: the vertical gap between a shape and the ground once both are displaced. */
+typedef struct clearance_contact {
+    const td_elevation *ground;
+    clearance_shape shape;
+    bool patch; /* a point of the shape over the surface; else a cell's centre below the shape */
+    double p[3];
+    double move[CLEARANCE_COMMON][3];     /* of the shape there, by common errors of sigma 1, */
+    double shake[TD_ROBOT_MAX_JOINTS][3]; /* and by readings' noise of sigma 1 */
+    int knot[2];                          /* of the integral's: the readings before and after */
+    double part;
+} clearance_contact;
+/* INFINITY: the shape is beside the point. noise: (knots, joints). */
+double clearance_gap(const clearance_contact *contact, const double *common, int common_count,
+                     const double *noise, int joints);
+/* P(any gap < the ground's rise there) for the contacts of the chosen margins. */
+td_status clearance_integrate(double *probability, double *sigma, const clearance_integral *integral,
+                              const clearance_contact *contact, const size_t *chosen, int points, int knots,
+                              td_error *error);
 
 #endif

@@ -6,13 +6,12 @@
 /* Between four cells: the surface's height, slopes, and what each cell has to do with it. */
 typedef struct patch {
     int32_t cell;
-    double height, slope[2], weight[4], sigma;
+    double height, slope[2], weight[4];
 } patch;
 
 /* False beside unknown cells and outside. */
-static bool patch_at(patch *at, const td_clearance_map *map, double x, double y)
+static bool patch_at(patch *at, const td_elevation *e, double x, double y)
 {
-    const td_elevation *e = map->elevation;
     const double u = (x - e->origin[0]) / e->cell_m, v = (y - e->origin[1]) / e->cell_m;
     if (!(u >= 0 && v >= 0 && u <= e->columns - 1 && v <= e->rows - 1) || e->columns < 2 || e->rows < 2)
         return false;
@@ -29,8 +28,13 @@ static bool patch_at(patch *at, const td_clearance_map *map, double x, double y)
         at->weight[0] * low[0] + at->weight[1] * low[1] + at->weight[2] * high[0] + at->weight[3] * high[1];
     at->slope[0] = ((1 - b) * (low[1] - low[0]) + b * (high[1] - high[0])) / e->cell_m;
     at->slope[1] = ((1 - a) * (high[0] - low[0]) + a * (high[1] - low[1])) / e->cell_m;
-    at->sigma = clearance_cell_sigma(map, cell);
     return !isnan(at->height);
+}
+
+double clearance_surface(const td_elevation *ground, double x, double y)
+{
+    patch at;
+    return patch_at(&at, ground, x, y) ? at.height : NAN;
 }
 
 /* Upwards from the ground. Steeper than 45 degrees it is taken as 45: such a side is a cell wide at most, and
@@ -117,16 +121,16 @@ static void visit_line_point(clearance_visit *visit, const td_clearance_map *map
     clearance_point point = {.patch = true};
     double p[3] = {q[0], q[1], q[2]}, g[3];
     patch at;
-    if (!patch_at(&at, map, q[0], q[1])) return;
+    if (!patch_at(&at, map->elevation, q[0], q[1])) return;
     if (round > 0) {
         normal_of(point.n, &at);
         for (int a = 0; a < 3; a++) p[a] -= round * point.n[a];
-        if (!patch_at(&at, map, p[0], p[1])) return;
+        if (!patch_at(&at, map->elevation, p[0], p[1])) return;
     }
     const double gap = p[2] - at.height;
     normal_of(point.n, &at);
     point.margin = point.distance = gap * point.n[2];
-    if (point.margin - CLEARANCE_SIGMAS * at.sigma > visit->limit) return;
+    if (point.margin - CLEARANCE_SIGMAS * clearance_cell_sigma(map, (size_t)at.cell) > visit->limit) return;
     point.cell = at.cell;
     memcpy(point.weight, at.weight, sizeof point.weight);
     memcpy(point.p, p, sizeof p);
@@ -168,14 +172,14 @@ static void visit_below(clearance_visit *visit, const td_clearance_map *map, con
     clearance_point point = {.patch = true};
     patch at;
     double g[3];
-    if (!patch_at(&at, map, shape->t[0], shape->t[1])) return;
+    if (!patch_at(&at, map->elevation, shape->t[0], shape->t[1])) return;
     point.p[0] = shape->t[0];
     point.p[1] = shape->t[1];
     point.p[2] = at.height;
     point.cell = at.cell;
     memcpy(point.weight, at.weight, sizeof point.weight);
-    point.distance = point.margin = clearance_distance(g, shape, point.p);
-    for (int a = 0; a < 3; a++) point.n[a] = -g[a];
+    point.distance = clearance_distance(g, shape, point.p);
+    point.margin = INFINITY;
     visit->point(visit, &point);
 }
 

@@ -6,19 +6,13 @@
 #include "core/random.h"
 #include "sim/clearance_internal.h"
 
-/* The margins are X = mean + L y, y of sigma 1, for those that are chosen. */
-typedef struct conditioning {
+typedef struct selection {
     const clearance_integral *in;
     double *correlation; /* by whole cells along one axis */
     int reach;
-    double *covariance; /* (count, points): of each margin with the chosen ones */
-    double *factor;     /* (points, points): L, rows in the order of choice */
-    double *score;      /* (count): bound on P(this one < 0, no chosen one < 0); negative: chosen */
-    double *closest;    /* (count): the highest correlation with a chosen one */
-    size_t *chosen;     /* (points) */
-    int points;
-    double left_out;
-} conditioning;
+    double *score;   /* (count): bound on P(this one < 0, no chosen one < 0); negative: chosen */
+    double *closest; /* (count): the highest correlation with a chosen one */
+} selection;
 
 static double upper_tail(double x)
 {
@@ -40,13 +34,13 @@ static double from_upper_tail(double p)
     return p < 0.5 ? x : -x;
 }
 
-static double along(const conditioning *c, int cells)
+static double along(const selection *c, int cells)
 {
     const int apart = abs(cells);
     return apart < c->reach ? c->correlation[apart] : 0;
 }
 
-static double ground_covariance(const conditioning *c, const clearance_margin *a, const clearance_margin *b)
+static double ground_covariance(const selection *c, const clearance_margin *a, const clearance_margin *b)
 {
     const int dx = b->column - a->column, dy = b->row - a->row;
     double sum = 0;
@@ -62,9 +56,9 @@ static double ground_covariance(const conditioning *c, const clearance_margin *a
     return sum;
 }
 
-static double covariance(const conditioning *c, const clearance_margin *a, const clearance_margin *b)
+static double covariance(const selection *c, const clearance_margin *a, const clearance_margin *b)
 {
-    double sum = ground_covariance(c, a, b), reading = 0, share = 0;
+    double sum = a->up * b->up * ground_covariance(c, a, b), reading = 0, share = 0;
     for (int k = 0; k < c->in->common_count; k++) sum += a->common[k] * b->common[k];
     if (c->in->joints == 0) return sum;
     if (a->knot == b->knot)
@@ -78,7 +72,7 @@ static double covariance(const conditioning *c, const clearance_margin *a, const
     return sum + share * reading;
 }
 
-static double z_of(const conditioning *c, size_t i)
+static double z_of(const selection *c, size_t i)
 {
     return c->in->margin[i].mean / sqrt(c->in->margin[i].variance);
 }
@@ -101,17 +95,15 @@ static double misses(double a, double b, double rho)
     return 0.3989422804014327 * half * sum;
 }
 
-/* Margin `at` becomes the k-th chosen: what it says of the others. */
-static void take(conditioning *c, size_t at, int k)
+/* Margin `at` is chosen: what it says of the others. */
+static void take(selection *c, size_t at)
 {
     const double z = z_of(c, at);
-    c->chosen[k] = at;
     c->score[at] = -1;
     for (size_t i = 0; i < c->in->count; i++) {
         if (c->score[i] < 0) continue;
         const clearance_margin *a = c->in->margin + i, *b = c->in->margin + at;
         const double both = covariance(c, a, b), rho = both / sqrt(a->variance * b->variance);
-        c->covariance[i * (size_t)c->in->points + (size_t)k] = both;
         if (!(rho > 0.5 && rho > c->closest[i])) continue;
         c->closest[i] = rho;
         c->score[i] = fmin(c->score[i], misses(z_of(c, i), z, rho));
@@ -119,60 +111,118 @@ static void take(conditioning *c, size_t at, int k)
 }
 
 /* One after the other the margin that most probably is negative when none of those before is. */
-static void choose(conditioning *c)
+static int choose(size_t *chosen, double *left_out, selection *c)
 {
     for (size_t i = 0; i < c->in->count; i++) {
         c->score[i] = upper_tail(z_of(c, i));
         c->closest[i] = 0;
     }
-    for (c->points = 0;; c->points++) {
+    for (int k = 0;; k++) {
         size_t best = c->in->count;
         double most = -1;
-        c->left_out = 0;
+        *left_out = 0;
         for (size_t i = 0; i < c->in->count; i++) {
             if (c->score[i] < 0) continue;
-            c->left_out += c->score[i];
+            *left_out += c->score[i];
             if (c->score[i] > most) {
                 most = c->score[i];
                 best = i;
             }
         }
-        if (best == c->in->count || c->left_out < 1e-4 || c->points == c->in->points) return;
-        take(c, best, c->points);
+        if (best == c->in->count || *left_out < 1e-4 || k == c->in->points) return k;
+        chosen[k] = best;
+        take(c, best);
     }
 }
 
-/* Cholesky's factor. A margin that the others determine keeps a millionth of its variance. */
-static void factorise(conditioning *c)
+static td_status make_correlation(selection *c, td_error *error)
 {
-    const size_t columns = (size_t)c->in->points;
-    for (int i = 0; i < c->points; i++) {
-        double *row = c->factor + (size_t)i * columns;
-        const double variance = c->in->margin[c->chosen[i]].variance;
+    const double length = c->in->correlation_cells;
+    c->reach = (int)fmin(ceil(5 * length), 1 << 20) + 1;
+    c->correlation = malloc((size_t)c->reach * sizeof *c->correlation);
+    if (!c->correlation) return td_fail(error, TD_ERROR_MEMORY, "no memory for the probability of contact");
+    for (int k = 0; k < c->reach; k++) c->correlation[k] = k ? exp(-(double)k * k / (length * length)) : 1;
+    return TD_OK;
+}
+
+td_status clearance_choose(size_t *chosen, int *points, double *left_out, const clearance_integral *in,
+                           td_error *error)
+{
+    selection c = {.in = in};
+    *points = 0;
+    *left_out = 0;
+    if (in->count == 0) return TD_OK;
+    td_status status = make_correlation(&c, error);
+    c.score = malloc(2 * in->count * sizeof *c.score);
+    if (status == TD_OK && !c.score)
+        status = td_fail(error, TD_ERROR_MEMORY, "no memory for the probability of contact of %zu points",
+                         in->count);
+    if (status == TD_OK) {
+        c.closest = c.score + in->count;
+        *points = choose(chosen, left_out, &c);
+    }
+    free(c.correlation);
+    free(c.score);
+    return status;
+}
+
+/* ---- the integral ---- */
+
+typedef struct integrand {
+    const clearance_integral *in;
+    const clearance_contact *contact; /* (points) */
+    const size_t *chosen;
+    int points;
+    double *factor; /* (points, points): of the ground's rise at the contacts */
+    double *gap;    /* (points) */
+    double *y;      /* (points) */
+    double *noise;  /* (knots, joints) */
+    double mirror[CLEARANCE_COMMON], spread;
+} integrand;
+
+/* Cholesky's factor of the rises' covariance. A rise that others determine keeps a millionth of its own. */
+static void factorise(integrand *f, const selection *c)
+{
+    for (int i = 0; i < f->points; i++) {
+        double *row = f->factor + (size_t)i * (size_t)f->points;
+        const clearance_margin *at = f->in->margin + f->chosen[i];
+        const double variance = ground_covariance(c, at, at);
         double spare = variance;
         for (int j = 0; j < i; j++) {
-            const double *other = c->factor + (size_t)j * columns;
-            double sum = c->covariance[c->chosen[i] * columns + (size_t)j];
+            const double *other = f->factor + (size_t)j * (size_t)f->points;
+            double sum = ground_covariance(c, at, f->in->margin + f->chosen[j]);
             for (int k = 0; k < j; k++) sum -= row[k] * other[k];
             row[j] = sum / other[j];
             spare -= row[j] * row[j];
         }
-        row[i] = sqrt(fmax(spare, 1e-6 * variance));
+        row[i] = sqrt(fmax(spare, 1e-6 * variance + 1e-20));
     }
 }
 
-/* P(all chosen margins > 0) at one point u in [0, 1)^points. */
-static double conditioned(const conditioning *c, const double *u, double *y)
+/* P(no contact) for common errors z (their first along the direction that matters most): gaps between shapes
+ * and ground for these, then the ground's rise, one contact after the other given those before. */
+static double free_at(integrand *f, double *z, const double *u)
 {
-    double product = 1;
-    for (int k = 0; k < c->points; k++) {
-        const double *row = c->factor + (size_t)k * (size_t)c->in->points;
-        double mean = c->in->margin[c->chosen[k]].mean;
-        for (int j = 0; j < k; j++) mean += row[j] * y[j];
+    const int common = f->in->common_count;
+    double along_mirror = 0, product = 1;
+    int last = 0;
+    for (int k = 0; k < common; k++) along_mirror += z[k] * f->mirror[k];
+    for (int k = 0; k < common; k++) z[k] -= 2 * along_mirror * f->mirror[k];
+    for (int i = 0; i < f->points; i++) {
+        const double *g = f->in->margin[f->chosen[i]].ground;
+        const double most = 6 * (fabs(g[0]) + fabs(g[1]) + fabs(g[2]) + fabs(g[3]));
+        f->gap[i] = clearance_gap(f->contact + i, z, common, f->noise, f->in->joints);
+        if (f->gap[i] < -most) return 0;
+        if (f->gap[i] < most) last = i + 1;
+    }
+    for (int k = 0; k < last; k++) {
+        const double *row = f->factor + (size_t)k * (size_t)f->points;
+        double mean = f->gap[k];
+        for (int j = 0; j < k; j++) mean += row[j] * f->y[j];
         const double tail = upper_tail(-mean / row[k]);
         product *= tail;
-        if (product < 1e-12) return 0;
-        y[k] = from_upper_tail(u[k] * tail);
+        if (product < 1e-9) return 0;
+        f->y[k] = from_upper_tail(u[k] * tail);
     }
     return product;
 }
@@ -187,67 +237,100 @@ static void roots_of_primes(double *root, int count)
     }
 }
 
-/* Richtmyer's lattice of square roots of primes, folded, under eight random shifts. */
-static void integrate(double *probability, double *sigma, const conditioning *c, double *work)
+/* Turns the first axis into the direction by which the common errors change the most probable margin: it is
+ * sampled twice as wide, with weights, so that rare contact is seen. */
+static void set_mirror(integrand *f)
+{
+    const double *row = f->in->margin[f->chosen[0]].common;
+    double length = 0, square = 0;
+    for (int k = 0; k < f->in->common_count; k++) length += row[k] * row[k];
+    length = sqrt(length);
+    f->spread = length > 0 ? 2 : 1;
+    for (int k = 0; k < f->in->common_count; k++) {
+        f->mirror[k] = length > 0 ? row[k] / length - (k == 0) : 0;
+        square += f->mirror[k] * f->mirror[k];
+    }
+    for (int k = 0; k < f->in->common_count; k++) f->mirror[k] *= square > 1e-24 ? 1 / sqrt(square) : 0;
+}
+
+/* Evenly along the first axis, along the others Richtmyer's lattice of square roots of primes, folded; under
+ * eight random shifts. */
+static void integrate(double *probability, double *sigma, integrand *f, double *work, int knots)
 {
     enum { SHIFTS = 8 };
-    double *root = work, *shift = root + c->points, *u = shift + c->points, *y = u + c->points;
-    const int draws = (c->in->draws + SHIFTS - 1) / SHIFTS;
+    const int common = f->in->common_count, dimensions = common + f->points;
+    double *root = work, *shift = root + dimensions, *u = shift + dimensions;
+    const int draws = (f->in->draws + SHIFTS - 1) / SHIFTS;
     double sum = 0, square = 0;
-    td_random random = td_random_seed(c->in->seed, 0);
-    roots_of_primes(root, c->points);
+    td_random random = td_random_seed(f->in->seed, 0);
+    roots_of_primes(root, dimensions);
+    root[0] = 1.0 / draws;
     for (int s = 0; s < SHIFTS; s++) {
-        double free_of = 0;
-        for (int k = 0; k < c->points; k++) shift[k] = td_random_uniform(&random);
+        double meets = 0, weights = 0;
+        for (int k = 0; k < dimensions; k++) shift[k] = td_random_uniform(&random);
         for (int i = 1; i <= draws; i++) {
-            for (int k = 0; k < c->points; k++) {
+            double z[CLEARANCE_COMMON];
+            for (int k = 0; k < dimensions; k++) {
                 const double x = i * root[k] + shift[k];
-                u[k] = fabs(2 * (x - floor(x)) - 1);
+                u[k] = k ? fabs(2 * (x - floor(x)) - 1) : x - floor(x);
             }
-            free_of += conditioned(c, u, y);
+            for (int k = 0; k < common; k++) z[k] = from_upper_tail(u[k]);
+            z[0] *= f->spread;
+            const double weight = exp(-0.5 * z[0] * z[0] * (1 - 1 / (f->spread * f->spread)));
+            for (int k = 0; k < knots * f->in->joints; k++) f->noise[k] = td_random_normal(&random);
+            weights += weight;
+            meets += weight * (1 - free_at(f, z, u + common));
         }
-        const double p = 1 - free_of / draws;
-        sum += p;
-        square += p * p;
+        sum += meets / weights;
+        square += meets / weights * (meets / weights);
     }
     *probability = fmin(fmax(sum / SHIFTS, 0), 1);
     *sigma = sqrt(fmax(square - sum * sum / SHIFTS, 0) / (SHIFTS * (SHIFTS - 1)));
 }
 
-static td_status make_correlation(conditioning *c, td_error *error)
+td_status clearance_integrate(double *probability, double *sigma, const clearance_integral *in,
+                              const clearance_contact *contact, const size_t *chosen, int points, int knots,
+                              td_error *error)
 {
-    const double length = c->in->correlation_cells;
-    c->reach = (int)fmin(ceil(5 * length), 1 << 20) + 1;
-    c->correlation = malloc((size_t)c->reach * sizeof *c->correlation);
-    if (!c->correlation) return td_fail(error, TD_ERROR_MEMORY, "no memory for the probability of contact");
-    for (int k = 0; k < c->reach; k++) c->correlation[k] = k ? exp(-(double)k * k / (length * length)) : 1;
-    return TD_OK;
-}
-
-td_status clearance_probability(double *probability, double *sigma, double *left_out,
-                                const clearance_integral *integral, td_error *error)
-{
-    const size_t n = integral->count, columns = (size_t)integral->points;
-    conditioning c = {.in = integral};
-    *probability = *sigma = *left_out = 0;
-    if (n == 0) return TD_OK;
+    const size_t n = (size_t)points, noise = (size_t)knots * (size_t)in->joints;
+    selection c = {.in = in};
+    *probability = *sigma = 0;
+    if (points == 0) return TD_OK;
     td_status status = make_correlation(&c, error);
-    double *room = malloc((n * (columns + 2) + columns * (columns + 4)) * sizeof *room);
-    c.chosen = malloc(columns * sizeof *c.chosen);
-    if (status == TD_OK && room && c.chosen) {
-        c.covariance = room;
-        c.score = c.covariance + n * columns;
-        c.closest = c.score + n;
-        c.factor = c.closest + n;
-        choose(&c);
-        factorise(&c);
-        *left_out = c.left_out;
-        integrate(probability, sigma, &c, c.factor + columns * columns);
-    } else if (status == TD_OK) {
-        status = td_fail(error, TD_ERROR_MEMORY, "no memory for the probability of contact of %zu points", n);
+    double *room = malloc((n * n + 2 * n + noise + 3 * (n + CLEARANCE_COMMON)) * sizeof *room);
+    if (status == TD_OK && !room)
+        status = td_fail(error, TD_ERROR_MEMORY, "no memory for the probability of contact");
+    if (status == TD_OK) {
+        integrand f = {.in = in,
+                       .contact = contact,
+                       .chosen = chosen,
+                       .points = points,
+                       .factor = room,
+                       .gap = room + n * n,
+                       .y = room + n * n + n,
+                       .noise = room + n * n + 2 * n};
+        factorise(&f, &c);
+        set_mirror(&f);
+        integrate(probability, sigma, &f, f.noise + noise, knots);
     }
     free(c.correlation);
-    free(c.chosen);
     free(room);
     return status;
+}
+
+double clearance_gap(const clearance_contact *contact, const double *common, int common_count,
+                     const double *noise, int joints)
+{
+    const double *p = contact->p;
+    double u[3] = {0};
+    for (int k = 0; k < common_count; k++)
+        for (int a = 0; a < 3; a++) u[a] += contact->move[k][a] * common[k];
+    for (int k = 0; k < joints; k++) {
+        const double error = (1 - contact->part) * noise[contact->knot[0] * joints + k] +
+                             contact->part * noise[contact->knot[1] * joints + k];
+        for (int a = 0; a < 3; a++) u[a] += contact->shake[k][a] * error;
+    }
+    if (!contact->patch) return clearance_underside(&contact->shape, p[0] - u[0], p[1] - u[1]) - p[2] + u[2];
+    const double surface = clearance_surface(contact->ground, p[0] + u[0], p[1] + u[1]);
+    return isnan(surface) ? INFINITY : p[2] + u[2] - surface;
 }

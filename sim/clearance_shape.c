@@ -102,3 +102,55 @@ int clearance_lines(double line[CLEARANCE_LINES][2][3], double *round, const cle
     }
     return CLEARANCE_LINES;
 }
+
+/* ---- undersides ---- */
+
+static double below_ball(const double centre[3], double radius, double x, double y)
+{
+    const double dx = x - centre[0], dy = y - centre[1], left = radius * radius - dx * dx - dy * dy;
+    return left >= 0 ? centre[2] - sqrt(left) : INFINITY;
+}
+
+/* The line x + s d in the box's frame enters where it is within all three slabs. */
+static double below_box(const clearance_shape *shape, double x, double y)
+{
+    const double *r = shape->r, dx = x - shape->t[0], dy = y - shape->t[1];
+    double from = -INFINITY, to = INFINITY;
+    for (int a = 0; a < 3; a++) {
+        const double at = r[a] * dx + r[3 + a] * dy, d = r[6 + a], half = shape->size[a];
+        if (fabs(d) < 1e-12) {
+            if (fabs(at) > half) return INFINITY;
+            continue;
+        }
+        const double one = (-half - at) / d, other = (half - at) / d;
+        from = fmax(from, fmin(one, other));
+        to = fmin(to, fmax(one, other));
+    }
+    return from <= to ? shape->t[2] + from : INFINITY;
+}
+
+/* A cylinder of axis k between the balls at its ends: |x + s z - ((x + s z) k) k| = radius. */
+static double below_capsule(const clearance_shape *shape, double x, double y)
+{
+    const double k[3] = {shape->r[2], shape->r[5], shape->r[8]}, half = 0.5 * shape->size[1];
+    const double dx = x - shape->t[0], dy = y - shape->t[1], along = dx * k[0] + dy * k[1];
+    double low = INFINITY;
+    for (int end = -1; end <= 1; end += 2) {
+        const double centre[3] = {shape->t[0] + end * half * k[0], shape->t[1] + end * half * k[1],
+                                  shape->t[2] + end * half * k[2]};
+        low = fmin(low, below_ball(centre, shape->size[0], x, y));
+    }
+    const double a = 1 - k[2] * k[2], b = -along * k[2];
+    const double c = dx * dx + dy * dy - along * along - shape->size[0] * shape->size[0];
+    const double discriminant = b * b - a * c;
+    if (a < 1e-12 || discriminant < 0) return low;
+    const double s = (-b - sqrt(discriminant)) / a;
+    return fabs(along + s * k[2]) <= half ? fmin(low, shape->t[2] + s) : low;
+}
+
+double clearance_underside(const clearance_shape *shape, double x, double y)
+{
+    if (shape->kind == TD_PRIMITIVE_BOX) return below_box(shape, x, y);
+    if (shape->kind == TD_PRIMITIVE_CAPSULE) return below_capsule(shape, x, y);
+    return below_ball(shape->t, shape->size[0], x, y);
+}
