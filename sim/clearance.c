@@ -47,7 +47,7 @@ typedef struct search {
     bool keep, by_knot;
     int shape, link;
     uint32_t state;
-    double reach; /* five sigma of the shape */
+    double seed;  /* a distance that is known to be met later */
     double least; /* distance so far, */
     clearance_point nearest;
     bool found;
@@ -106,20 +106,20 @@ static void see_point(clearance_visit *visit, const clearance_point *seen)
         s->least = point.distance;
         s->nearest = point;
         s->found = true;
-        visit->limit = fmax(s->least, s->reach);
+        visit->limit = fmin(s->least, s->seed);
     }
     if (!s->keep) return;
     const double sigma = clearance_cell_sigma(s->map, (size_t)point.cell);
-    if (point.margin - CLEARANCE_SIGMAS * sigma <= s->reach) keep_point(s, &point);
+    if (point.margin - CLEARANCE_SIGMAS * sigma <= visit->reach) keep_point(s, &point);
 }
 
 static void look(search *s, int shape, const td_pose *site_from_link, const clearance_shape *placed)
 {
     s->shape = shape;
     s->link = placed->link;
-    s->reach =
+    s->visit.reach =
         s->keep ? CLEARANCE_SIGMAS * clearance_motion_sigma(s->path, placed, site_from_link) : -INFINITY;
-    s->visit.limit = fmax(s->least, s->reach);
+    s->visit.limit = fmin(s->least, s->seed);
     clearance_near(&s->visit, s->map, placed);
 }
 
@@ -139,7 +139,8 @@ static td_clearance_place place_of(const search *s, clearance_state state)
 /* One shape at one time, as given. */
 static td_clearance_place place_at(const search *s, int shape, clearance_state state)
 {
-    search one = {.visit = {.point = see_point}, .map = s->map, .path = s->path, .least = INFINITY};
+    search one = {
+        .visit = {.point = see_point}, .map = s->map, .path = s->path, .seed = INFINITY, .least = INFINITY};
     td_pose site_from_link[TD_ROBOT_MAX_LINKS];
     if (!clearance_is_allowed(s->path, s->path->link[shape], clearance_time(s->path, state))) {
         clearance_links(site_from_link, s->path, state);
@@ -203,11 +204,31 @@ static void see_unseen(td_clearance *out, const search *s, const clearance_shape
     memcpy(out->unseen_at.at, at, sizeof at);
 }
 
+/* The least distance at every sixteenth sample: with it the others need not look far. Never below 0, so that
+ * the first contact is found. */
+static double seed_of(const search *s)
+{
+    search few = {
+        .visit = {.point = see_point}, .map = s->map, .path = s->path, .seed = INFINITY, .least = INFINITY};
+    td_pose site_from_link[TD_ROBOT_MAX_LINKS];
+    for (size_t i = 0; i < s->path->count; i += 16) {
+        const double time = clearance_time(s->path, s->path->state[i]);
+        clearance_links(site_from_link, s->path, s->path->state[i]);
+        for (int shape = 0; shape < s->path->shape_count; shape++) {
+            if (clearance_is_allowed(s->path, s->path->link[shape], time)) continue;
+            const clearance_shape placed = clearance_shape_of(s->path, shape, site_from_link);
+            look(&few, shape, site_from_link, &placed);
+        }
+    }
+    return fmax(few.least, 0) + 1e-6;
+}
+
 static void follow(td_clearance *out, search *s, const td_clearance_options *options)
 {
     const td_clearance_map *map = s->map;
     const double top = isnan(options->unseen_top_m) ? map->top[map->levels - 1][0] : options->unseen_top_m;
     td_pose site_from_link[TD_ROBOT_MAX_LINKS];
+    s->seed = seed_of(s);
     for (size_t i = 0; i < s->path->count; i++) {
         const double time = clearance_time(s->path, s->path->state[i]);
         td_clearance_place first = {.time_s = INFINITY};

@@ -16,6 +16,7 @@ struct td_clearance_map {
     const td_elevation *elevation;
     double sigma_m;
     int levels, width[CLEARANCE_LEVELS], height[CLEARANCE_LEVELS];
+    float *high[CLEARANCE_LEVELS];   /* highest of the known cells; -INFINITY: none */
     float *top[CLEARANCE_LEVELS];    /* highest height + 5 sigma of the known cells; -INFINITY: none */
     uint8_t *hole[CLEARANCE_LEVELS]; /* a cell is unknown */
 };
@@ -87,10 +88,11 @@ typedef struct clearance_point {
     double weight[4];
 } clearance_point;
 
-/* Called with each point of the ground nearer than `limit`, which it may lower. */
+/* Called with each point of the ground nearer than `limit` (which it may lower), or than `reach` less five
+ * sigma of the ground. */
 typedef struct clearance_visit {
     void (*point)(struct clearance_visit *visit, const clearance_point *point);
-    double limit;
+    double limit, reach;
 } clearance_visit;
 void clearance_near(clearance_visit *visit, const td_clearance_map *map, const clearance_shape *shape);
 /* Height of the surface; NaN beside unknown cells and outside. */

@@ -13,18 +13,18 @@ static void fill_tile(td_clearance_map *map, int i, int j)
 {
     const td_elevation *e = map->elevation;
     const int size = 1 << CLEARANCE_TILE;
-    float top = -INFINITY;
+    float top = -INFINITY, highest = -INFINITY;
     bool hole = false;
     for (int row = j * size; row < (j + 1) * size && row < e->rows; row++)
         for (int column = i * size; column < (i + 1) * size && column < e->columns; column++) {
             const size_t cell = (size_t)row * (size_t)e->columns + (size_t)column;
             const double high = e->height[cell] + CLEARANCE_SIGMAS * clearance_cell_sigma(map, cell);
-            if (isnan(e->height[cell]))
-                hole = true;
-            else if (high > top)
-                top = nextafterf((float)high, INFINITY);
+            if (isnan(e->height[cell])) hole = true;
+            if (e->height[cell] > highest) highest = e->height[cell];
+            if (high > top) top = nextafterf((float)high, INFINITY);
         }
     const size_t at = (size_t)j * (size_t)map->width[0] + (size_t)i;
+    map->high[0][at] = highest;
     map->top[0][at] = top;
     map->hole[0][at] = hole;
 }
@@ -32,15 +32,17 @@ static void fill_tile(td_clearance_map *map, int i, int j)
 static void fill_node(td_clearance_map *map, int level, int i, int j)
 {
     const int below = level - 1;
-    float top = -INFINITY;
+    float top = -INFINITY, highest = -INFINITY;
     uint8_t hole = 0;
     for (int row = 2 * j; row < 2 * j + 2 && row < map->height[below]; row++)
         for (int column = 2 * i; column < 2 * i + 2 && column < map->width[below]; column++) {
             const size_t at = (size_t)row * (size_t)map->width[below] + (size_t)column;
+            if (map->high[below][at] > highest) highest = map->high[below][at];
             if (map->top[below][at] > top) top = map->top[below][at];
             hole |= map->hole[below][at];
         }
     const size_t at = (size_t)j * (size_t)map->width[level] + (size_t)i;
+    map->high[level][at] = highest;
     map->top[level][at] = top;
     map->hole[level][at] = hole;
 }
@@ -106,9 +108,10 @@ td_status td_clearance_map_new(td_clearance_map **map, const td_elevation *eleva
         const int level = made->levels++;
         made->width[level] = width;
         made->height[level] = height;
+        made->high[level] = malloc((size_t)width * (size_t)height * sizeof *made->high[level]);
         made->top[level] = malloc((size_t)width * (size_t)height * sizeof *made->top[level]);
         made->hole[level] = malloc((size_t)width * (size_t)height * sizeof *made->hole[level]);
-        if (!made->top[level] || !made->hole[level]) {
+        if (!made->high[level] || !made->top[level] || !made->hole[level]) {
             td_clearance_map_free(&made);
             return td_fail(error, TD_ERROR_MEMORY, "no memory for the pyramid of a map of %d x %d cells",
                            elevation->columns, elevation->rows);
@@ -125,6 +128,7 @@ void td_clearance_map_free(td_clearance_map **map)
 {
     if (!map || !*map) return;
     for (int level = 0; level < (*map)->levels; level++) {
+        free((*map)->high[level]);
         free((*map)->top[level]);
         free((*map)->hole[level]);
     }

@@ -85,18 +85,36 @@ static double joint_variance(const td_clearance_motion *m, int joint)
     return zero * zero + reading * reading;
 }
 
+static void add_square(double c[9], const double v[3], double weight)
+{
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) c[3 * i + j] += weight * v[i] * v[j];
+}
+
+/* Not less than the largest eigenvalue of a covariance: Frobenius' norm of it squared, which squares what the
+ * smaller ones add. */
+static double largest_variance(const double c[9])
+{
+    double two[9] = {0}, square = 0;
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            for (int k = 0; k < 3; k++) two[3 * i + j] += c[3 * i + k] * c[3 * k + j];
+    for (int i = 0; i < 9; i++) square += two[i] * two[i];
+    return sqrt(sqrt(square));
+}
+
 double clearance_motion_sigma(const clearance_path *path, const clearance_shape *shape,
                               const td_pose *site_from_link)
 {
     const td_robot *robot = path->motion->robot;
-    double turn = 0, shift = 0;
+    double turn[9] = {0}, shift[9] = {0};
     for (int k = 0; k < 6; k++) {
         double omega[3], v[3];
         for (int a = 0; a < 3; a++) omega[a] = path->common[6 * a + k];
         cross(v, omega, shape->t);
         for (int a = 0; a < 3; a++) v[a] += path->common[6 * (a + 3) + k];
-        turn += square_of(omega);
-        shift += square_of(v);
+        add_square(turn, omega, 1);
+        add_square(shift, v, 1);
     }
     for (int link = shape->link; link >= 0; link = robot->link[link].parent) {
         const int joint = robot->link[link].joint;
@@ -106,10 +124,10 @@ double clearance_motion_sigma(const clearance_path *path, const clearance_shape 
         td_pose_rotate(axis, site_from_link + link, robot->joint[joint].axis);
         for (int a = 0; a < 3; a++) arm[a] = shape->t[a] - site_from_link[link].t[a];
         cross(v, axis, arm);
-        shift += variance * (turns(robot->joint + joint) ? square_of(v) : 1);
-        turn += turns(robot->joint + joint) ? variance : 0;
+        add_square(shift, turns(robot->joint + joint) ? v : axis, variance);
+        if (turns(robot->joint + joint)) add_square(turn, axis, variance);
     }
-    return sqrt(shift) + shape->radius * sqrt(turn);
+    return sqrt(largest_variance(shift)) + shape->radius * sqrt(largest_variance(turn));
 }
 
 /* ---- refinement ---- */

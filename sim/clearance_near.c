@@ -63,15 +63,16 @@ static void visit_cells(clearance_visit *visit, const td_clearance_map *map, con
                 .weight = {1}};
             double g[3];
             point.distance = point.margin = clearance_distance(g, shape, point.p);
-            if (point.distance - CLEARANCE_SIGMAS * clearance_cell_sigma(map, cell) > visit->limit) continue;
+            if (point.distance > visit->limit &&
+                point.distance - CLEARANCE_SIGMAS * clearance_cell_sigma(map, cell) > visit->reach)
+                continue;
             for (int a = 0; a < 3; a++) point.n[a] = -g[a];
             visit->point(visit, &point);
         }
 }
 
-/* No ground in the node is nearer than this: of its rectangle, all below `top`. */
-static bool node_is_far(const clearance_shape *s, const double low[2], const double high[2], double top,
-                        double limit)
+/* No ground in the node, a rectangle and all that is not above `top`, is nearer than this. */
+static double node_distance(const clearance_shape *s, const double low[2], const double high[2], double top)
 {
     double square = 0;
     for (int a = 0; a < 3; a++) {
@@ -80,28 +81,30 @@ static bool node_is_far(const clearance_shape *s, const double low[2], const dou
         const double out = below > above ? below : above;
         if (out > 0) square += out * out;
     }
-    if (square > 0 && (limit < 0 || square > limit * limit)) return true;
     /* The distance is convex along the vertical: where it grows downwards, all that is lower is further. */
     double g[3];
     const double p[3] = {0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), top};
-    const double distance = clearance_distance(g, s, p);
-    return g[2] <= 0 && distance - 0.5 * hypot(high[0] - low[0], high[1] - low[1]) > limit;
+    const double distance = clearance_distance(g, s, p), x = high[0] - low[0], y = high[1] - low[1];
+    const double least = g[2] <= 0 ? distance - 0.5 * sqrt(x * x + y * y) : -INFINITY;
+    return square > 0 ? fmax(least, sqrt(square)) : least;
 }
 
 static void descend(clearance_visit *visit, const td_clearance_map *map, const clearance_shape *shape,
                     int level, int i, int j)
 {
     const td_elevation *e = map->elevation;
-    const double top = map->top[level][(size_t)j * (size_t)map->width[level] + (size_t)i];
+    const size_t node = (size_t)j * (size_t)map->width[level] + (size_t)i;
+    const double highest = map->high[level][node], noise = map->top[level][node] - highest;
     const int size = 1 << (CLEARANCE_TILE + level), at[2] = {i, j}, cells[2] = {e->columns, e->rows};
     double low[2], high[2];
-    if (top == -INFINITY) return;
+    if (highest == -INFINITY) return;
     for (int a = 0; a < 2; a++) {
         const int last = at[a] < (cells[a] - 1) / size ? (at[a] + 1) * size - 1 : cells[a] - 1;
         low[a] = e->origin[a] + at[a] * size * e->cell_m;
         high[a] = e->origin[a] + last * e->cell_m;
     }
-    if (node_is_far(shape, low, high, top, visit->limit)) return;
+    const double least = node_distance(shape, low, high, highest);
+    if (least > visit->limit && least - noise > visit->reach) return;
     if (level == 0) {
         visit_cells(visit, map, shape, i, j);
         return;
@@ -130,7 +133,8 @@ static void visit_line_point(clearance_visit *visit, const td_clearance_map *map
     const double gap = p[2] - at.height;
     normal_of(point.n, &at);
     point.margin = point.distance = gap * point.n[2];
-    if (point.margin - CLEARANCE_SIGMAS * clearance_cell_sigma(map, (size_t)at.cell) > visit->limit) return;
+    const double noise = CLEARANCE_SIGMAS * clearance_cell_sigma(map, (size_t)at.cell);
+    if (point.margin > visit->limit && point.margin - noise > visit->reach) return;
     point.cell = at.cell;
     memcpy(point.weight, at.weight, sizeof point.weight);
     memcpy(point.p, p, sizeof p);
@@ -157,7 +161,7 @@ static void visit_line(clearance_visit *visit, const td_clearance_map *map, cons
             high[a] = fmax(u, v) + round;
         }
         /* The plane of a patch is nearer than straight below by cos 45 at most. */
-        if (0.7 * (low[2] - clearance_top(map, low, high)) > visit->limit) continue;
+        if (0.7 * (low[2] - clearance_top(map, low, high)) > fmax(visit->limit, visit->reach)) continue;
         for (int k = first; k <= last; k++) {
             const double part = steps ? (double)k / steps : 0;
             const double q[3] = {end[0][0] + part * d[0], end[0][1] + part * d[1], end[0][2] + part * d[2]};
@@ -189,7 +193,9 @@ void clearance_near(clearance_visit *visit, const td_clearance_map *map, const c
     const int lines = clearance_lines(line, &round, shape);
     if (isinf(visit->limit)) visit_below(visit, map, shape);
     descend(visit, map, shape, map->levels - 1, 0, 0);
-    if (0.7 * (shape->low[2] - clearance_top(map, shape->low, shape->high)) > visit->limit) return;
+    if (0.7 * (shape->low[2] - clearance_top(map, shape->low, shape->high)) >
+        fmax(visit->limit, visit->reach))
+        return;
     for (int k = 0; k < lines; k++) visit_line(visit, map, shape, line[k], round);
 }
 
