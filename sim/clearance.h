@@ -14,15 +14,20 @@
  *             shares), the vehicle by another; one draw for the whole motion
  *   joints    each joint's zero is off, one draw for the whole motion; and each reading of the given motion
  *             by noise of its own, linear in between
- * Probability: the chance that any link meets the ground at any time of the motion, with none of the allowed
- * contacts. What can meet is taken to first order in the errors: margin_k = d_k + n (w x p + v + sum_j J_j
- * e_j) - n_z sum_c weight_c e_c, for the points k of the ground that come within five sigma of a primitive,
- * each at the time at which it comes nearest (and at each reading's, where readings have noise). So P = 1 -
- * P(all margin_k > 0) is one integral of a normal distribution of many dimensions, and no time or cell is
- * taken as independent of another. It is done by sequential conditioning (Genz 1992, "Numerical computation
- * of multivariate normal probabilities") over the points that matter, chosen one after the other as the one
- * most probably met where none of those before is. Curvature of the primitives over the size of the errors is
- * left out. */
+ * Probability: that any link, but for the allowed contacts, meets the ground at any time of the motion. What
+ * can meet: the points above that come within five sigma, of each shape and cell the time at which it comes
+ * nearest (where readings have noise: between each two readings). Of these the ones that matter are chosen to
+ * first order, one after the other as the one most probably met where none of those before is. Then
+ *
+ *   P = 1 - E_common [ P(no gap_k(common) < rise_k of the ground) ]
+ *
+ * with gap_k the vertical gap between the shape's underside and a cell, or between a point of the shape and
+ * the surface, evaluated as it is after the displacement by the common errors (small angles: w x p + v +
+ * sum_j J_j e_j). The outer mean is a lattice over errors of map, vehicle and joints, wider along the
+ * direction that matters most, with weights; the inner probability is one step a point of sequential
+ * conditioning (Genz 1992, "Numerical computation of multivariate normal probabilities"). So no time or cell
+ * is taken as independent of another. Left out: second order in the errors' angles; other times of a point
+ * than its nearest. */
 #ifndef TELEDIMOS_SIM_CLEARANCE_H
 #define TELEDIMOS_SIM_CLEARANCE_H
 
@@ -36,14 +41,14 @@
 extern "C" {
 #endif
 
-/* A pyramid of the highest that the ground may be (height + 5 sigma) over the map, so that what is far from
- * it costs little. Borrows the map. After its cells have changed in a rectangle (columns from `column`, rows
- * from `row`), td_clearance_map_update brings it up to date. sigma_m: of cells whose sigma is not known; NaN:
- * maps with such cells are refused. */
+/* Pyramids of the highest ground (height, and height + 5 sigma) over the map, so that what is far from it
+ * costs little. Borrows the map. After its cells have changed in a rectangle (columns from `column`, rows
+ * from `row`), td_clearance_map_update brings them up to date. sigma_m: of cells whose sigma is not known;
+ * NaN: maps with such cells are refused. */
 typedef struct td_clearance_map td_clearance_map;
 TD_API td_status td_clearance_map_new(td_clearance_map **map, const td_elevation *elevation, double sigma_m,
                                       td_error *error);
-/* Refused: a changed cell whose sigma is none (and sigma_m NaN); the pyramid is then as before. */
+/* Refused: a changed cell whose sigma is none (and sigma_m NaN); the pyramids are then as before. */
 TD_API td_status td_clearance_map_update(td_clearance_map *map, int column, int row, int columns, int rows,
                                          td_error *error);
 TD_API void td_clearance_map_free(td_clearance_map **map);

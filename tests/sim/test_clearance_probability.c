@@ -256,12 +256,12 @@ static void clopper_pearson(double interval[2], int k, int n, double alpha)
 static void test_reliability(void **state)
 {
     (void)state;
+    check_statistics();
     const char *full = getenv("TELEDIMOS_FULL");
     const int count = full && strcmp(full, "1") == 0 ? 20000 : 300;
     trials all = {make_robot(arm_urdf), calloc((size_t)count, sizeof(trial))};
     int n[BINS] = {0}, hits[BINS] = {0}, wrong = 0;
     double mean[BINS] = {0}, sigma = 0, left_out = 0, points = 0, variance = 0, difference = 0;
-    check_statistics();
     assert_non_null(all.one);
     check_ok(td_parallel_for((size_t)count, 0, run_trial, &all, NULL, NULL), error);
     for (int i = 0; i < count; i++) {
