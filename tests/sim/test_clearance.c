@@ -169,6 +169,42 @@ static void test_lift(void **state)
     free_lift(&l);
 }
 
+/* A cube on its corner in the middle between four cells, none of which is below it. */
+static void test_corner(void **state)
+{
+    (void)state;
+    static const char urdf[] =
+        "<robot name='lift'><link name='base'/><link name='cube'><collision>"
+        "<origin xyz='0.3 0.3 0' rpy='0.78539816339745 0.61547970867039 0'/><geometry><box size='0.4 0.4 "
+        "0.4'/>"
+        "</geometry></collision></link><joint name='lift' type='prismatic'><parent link='base'/>"
+        "<child link='cube'/><axis xyz='0 0 1'/><limit lower='-9' upper='9' effort='1' velocity='1'/></joint>"
+        "</robot>";
+    td_robot *robot = make_robot(urdf);
+    td_elevation *ground = make_ground(21, 21, 0.4, -3.9, -3.9, 0);
+    td_clearance_map *map = make_map(ground);
+    const double time = 0, half = 0.2 * sqrt(3), above = half + 0.05, in = half - 0.02, sigma = 0.04;
+    td_clearance_motion motion = {.robot = robot,
+                                  .site_from_vehicle = td_pose_identity(),
+                                  .sigma_zero = &sigma,
+                                  .count = 1,
+                                  .time_s = &time,
+                                  .q = &above};
+    td_clearance c;
+    td_clearance_options options = td_clearance_options_default();
+    options.draws = 20000;
+    check_ok(td_clearance_check(&c, map, &motion, &options, &error), error);
+    check_near(c.nearest.clearance_m, 0.05, 1e-6);
+    check_near(c.probability, below(-0.05 / sigma), 1e-3);
+    motion.q = &in;
+    check_ok(td_clearance_check(&c, map, &motion, NULL, &error), error);
+    assert_true(c.contact);
+    check_near(c.nearest.clearance_m, -0.02, 1e-6);
+    td_clearance_map_free(&map);
+    td_elevation_free(&ground);
+    td_robot_free(&robot);
+}
+
 /* Two readings near the ground with noise of their own: 1 - (1 - p)^2. */
 static void test_readings(void **state)
 {
@@ -374,9 +410,9 @@ static void test_refused(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_distance), cmocka_unit_test(test_lift),
-                                       cmocka_unit_test(test_readings), cmocka_unit_test(test_allowed),
-                                       cmocka_unit_test(test_unseen),   cmocka_unit_test(test_update),
-                                       cmocka_unit_test(test_integral), cmocka_unit_test(test_refused)};
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_distance), cmocka_unit_test(test_lift),     cmocka_unit_test(test_corner),
+        cmocka_unit_test(test_readings), cmocka_unit_test(test_allowed),  cmocka_unit_test(test_unseen),
+        cmocka_unit_test(test_update),   cmocka_unit_test(test_integral), cmocka_unit_test(test_refused)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
