@@ -139,6 +139,7 @@ int main(int argc, char **argv)
     bench_calibrate(&b);
     bench_boards(&b);
     bench_render(&b);
+    bench_clearance(&b);
     bench_charuco(&b);
     bench_dense(&b);
     bench_hand_eye(&b);

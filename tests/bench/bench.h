@@ -58,6 +58,8 @@ void bench_next_view(const bench *b);
 /* bench_render.c */
 void bench_render(const bench *b);
 
+/* bench_clearance.c */
+void bench_clearance(const bench *b);
 /* bench_integrator.c */
 void bench_integrator(const bench *b);
 
