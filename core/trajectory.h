@@ -67,9 +67,9 @@ typedef struct td_trajectory_share {
 typedef struct td_trajectory_shares {
     td_trajectory_share position, speed, acceleration, flow, pump;
 } td_trajectory_shares;
-/* Looks at every knot and rate_hz times a second in between (0: at the middle between knots). pump_m3_s: of
- * all cylinders together (INFINITY: unlimited). Refused: a robot of other joints, joints where a cylinder
- * does not reach, numbers that are none. */
+/* Looks at every knot, and in between rate_hz times a second; rate_hz 0: where accelerations and rates are
+ * extreme, and at thirds. pump_m3_s: of all cylinders together (INFINITY: unlimited). Refused: a robot of
+ * other joints, joints where a cylinder does not reach, numbers that are none. */
 TD_API td_status td_trajectory_check(td_trajectory_shares *shares, const td_trajectory *trajectory,
                                      const td_robot *robot, double pump_m3_s, double rate_hz,
                                      td_error *error);

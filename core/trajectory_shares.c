@@ -8,6 +8,7 @@ typedef struct look {
     const td_trajectory *trajectory;
     const td_robot *robot;
     double pump_m3_s;
+    double *pump; /* its share where it was last looked */
 } look;
 
 static void keep(td_trajectory_share *most, double share, double time_s, int joint)
@@ -41,7 +42,8 @@ static bool look_at(const look *l, const double *q, const double *dq, const doub
         keep(&l->shares->flow, fabs(flow) / c->flow_m3_s, time_s, c->joint);
         pump += fabs(flow);
     }
-    keep(&l->shares->pump, pump / l->pump_m3_s, time_s, -1);
+    *l->pump = pump / l->pump_m3_s;
+    keep(&l->shares->pump, *l->pump, time_s, -1);
     return true;
 }
 
@@ -56,25 +58,90 @@ static td_status refuse(const look *l, double time_s, int cylinder, td_error *er
         l->robot->joint[l->robot->cylinder[cylinder].joint].name, l->robot->cylinder[cylinder].name, time_s);
 }
 
-static td_status look_between(const look *l, double from_s, double to_s, double rate_hz, td_error *error)
+static td_status look_when(const look *l, double time_s, double *ddq, td_error *error)
 {
-    double q[TD_ROBOT_MAX_JOINTS], dq[TD_ROBOT_MAX_JOINTS], ddq[TD_ROBOT_MAX_JOINTS];
-    const double first = rate_hz > 0 ? floor(from_s * rate_hz) + 1 : 0;
-    for (double i = 0;; i++) {
-        const double time_s = rate_hz > 0 ? (first + i) / rate_hz : (from_s + to_s) / 2;
-        int cylinder = -1;
-        if (time_s >= to_s || (rate_hz <= 0 && i > 0)) return TD_OK;
-        td_trajectory_at(q, dq, ddq, l->trajectory, time_s);
-        if (!look_at(l, q, dq, ddq, time_s, &cylinder)) return refuse(l, time_s, cylinder, error);
+    double q[TD_ROBOT_MAX_JOINTS], dq[TD_ROBOT_MAX_JOINTS];
+    int cylinder = -1;
+    td_trajectory_at(q, dq, ddq, l->trajectory, time_s);
+    return look_at(l, q, dq, ddq, time_s, &cylinder) ? TD_OK : refuse(l, time_s, cylinder, error);
+}
+
+static td_status look_often(const look *l, double from_s, double to_s, double rate_hz, td_error *error)
+{
+    double ddq[TD_ROBOT_MAX_JOINTS];
+    for (double i = floor(from_s * rate_hz) + 1; i / rate_hz < to_s; i++)
+        TD_TRY(look_when(l, i / rate_hz, ddq, error));
+    return TD_OK;
+}
+
+/* The cubic through f at 0, 1, 2, 3: where between them it is largest or smallest, in at; how many such
+ * places. */
+static int turns(double at[2], double value[2], const double f[4])
+{
+    const double a = (-11 * f[0] + 18 * f[1] - 9 * f[2] + 2 * f[3]) / 6,
+                 b = (2 * f[0] - 5 * f[1] + 4 * f[2] - f[3]) / 2,
+                 c = (-f[0] + 3 * f[1] - 3 * f[2] + f[3]) / 6;
+    const double inner = b * b - 3 * a * c, sum = -(b + copysign(sqrt(fmax(inner, 0)), b));
+    const double root[2] = {sum / (3 * c), a / sum};
+    int count = 0;
+    for (int i = 0; i < 2 && inner >= 0; i++)
+        if (root[i] > 0 && root[i] < 3) { /* not where it is none or infinite */
+            at[count] = root[i];
+            value[count++] = f[0] + root[i] * (a + root[i] * (b + root[i] * c));
+        }
+    return count;
+}
+
+static td_status look_at_knot(const look *l, size_t knot, td_error *error)
+{
+    const td_trajectory *t = l->trajectory;
+    const size_t at = knot * (size_t)t->joints;
+    int cylinder = -1;
+    return look_at(l, t->q + at, t->dq + at, t->ddq + at, t->time_s[knot], &cylinder)
+               ? TD_OK
+               : refuse(l, t->time_s[knot], cylinder, error);
+}
+
+/* Between two knots an acceleration is a cubic, so its extremes are exact from four places; a rate has its
+ * own where the acceleration passes 0. */
+static td_status look_exactly(const look *l, size_t knot, double from_s, double to_s, td_error *error)
+{
+    const size_t n = (size_t)l->trajectory->joints;
+    double all[4][TD_ROBOT_MAX_JOINTS], unused[TD_ROBOT_MAX_JOINTS];
+    double pump[4], at[2], value[2];
+    const double third = (to_s - from_s) / 3;
+    for (size_t k = 0; k < n; k++) {
+        all[0][k] = l->trajectory->ddq[knot * n + k];
+        all[3][k] = l->trajectory->ddq[(knot + 1) * n + k];
     }
+    pump[0] = *l->pump;
+    for (int i = 1; i < 3; i++) {
+        TD_TRY(look_when(l, from_s + i * third, all[i], error));
+        pump[i] = *l->pump;
+    }
+    TD_TRY(look_at_knot(l, knot + 1, error));
+    pump[3] = *l->pump;
+    const int peaks = turns(at, value, pump);
+    for (int i = 0; i < peaks; i++) TD_TRY(look_when(l, from_s + at[i] * third, unused, error));
+    for (size_t k = 0; k < n; k++) {
+        const double f[4] = {all[0][k], all[1][k], all[2][k], all[3][k]};
+        const int count = turns(at, value, f);
+        for (int i = 0; i < count; i++)
+            keep(&l->shares->acceleration, fabs(value[i]) / l->robot->joint[k].acceleration,
+                 from_s + at[i] * third, (int)k);
+        for (int i = 0; i < 3; i++)
+            if (f[i] * f[i + 1] < 0)
+                TD_TRY(look_when(l, from_s + (i + f[i] / (f[i] - f[i + 1])) * third, unused, error));
+    }
+    return TD_OK;
 }
 
 td_status td_trajectory_check(td_trajectory_shares *shares, const td_trajectory *trajectory,
                               const td_robot *robot, double pump_m3_s, double rate_hz, td_error *error)
 {
     const td_trajectory_share none = {0, 0, -1};
-    const look l = {shares, trajectory, robot, pump_m3_s};
-    const size_t n = (size_t)trajectory->joints;
+    double pump = 0;
+    const look l = {shares, trajectory, robot, pump_m3_s, &pump};
     *shares = (td_trajectory_shares){none, none, none, none, none};
     if (trajectory->joints != robot->joint_count)
         return td_fail(error, TD_ERROR_ARGUMENT, "the trajectory is of %d joints, robot '%s' has %d",
@@ -84,13 +151,12 @@ td_status td_trajectory_check(td_trajectory_shares *shares, const td_trajectory 
                        "to look %g times a second at pumps of %g m^3/s: give 0 to 1e6 and more than 0",
                        rate_hz, pump_m3_s);
     for (size_t i = 0; i < trajectory->count; i++) {
-        int cylinder = -1;
         const double time_s = trajectory->time_s[i];
-        if (!look_at(&l, trajectory->q + i * n, trajectory->dq + i * n, trajectory->ddq + i * n, time_s,
-                     &cylinder))
-            return refuse(&l, time_s, cylinder, error);
-        if (i + 1 < trajectory->count && trajectory->time_s[i + 1] > time_s)
-            TD_TRY(look_between(&l, time_s, trajectory->time_s[i + 1], rate_hz, error));
+        TD_TRY(look_at_knot(&l, i, error));
+        const double next_s = i + 1 < trajectory->count ? trajectory->time_s[i + 1] : time_s;
+        if (next_s > time_s)
+            TD_TRY(rate_hz > 0 ? look_often(&l, time_s, next_s, rate_hz, error)
+                               : look_exactly(&l, i, time_s, next_s, error));
     }
     return TD_OK;
 }

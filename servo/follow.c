@@ -9,6 +9,7 @@
 enum { LEAST_STEPS = 24, MOST_STEPS = 4000, CORNER_STEPS = 12, CORRECTIONS = 8 };
 static const double TURN = 0.03;     /* rad or m of a joint in a step */
 static const double CATCH_UP = 0.05; /* rad or m of a joint in a correction */
+static const double STIFF = 1; /* of the way in which what avoids limits would settle; at 2 it never does */
 static const double ON_PATH = 1e-10; /* m, rad */
 static const double THERE = 1e-6;    /* m, rad: at the goal, and where a singularity is over */
 
@@ -17,8 +18,10 @@ typedef struct walk {
     const td_polyline *line;
     td_path *path;
     td_nearest *nearest;
+    int joints;    /* that move the tool */
     bool singular; /* an event is open */
     td_inverse inverse;
+    double stiff; /* of the last rates, 1/m */
     double off_m, off_rad;
 } walk;
 
@@ -30,7 +33,7 @@ static bool rates(double *dq, walk *w, const double *q, double s)
     td_polyline_at(NULL, along, NULL, w->line, s);
     td_inverse_make(&w->inverse, w->arm, jacobian, NULL, 0);
     td_inverse_apply(dq, &w->inverse, along);
-    td_inverse_avoid(dq, &w->inverse, w->arm, q);
+    w->stiff = w->arm->tool->row_count < w->joints ? td_inverse_avoid(dq, &w->inverse, w->arm, q) : 0;
     return true;
 }
 
@@ -69,6 +72,7 @@ static double step_from(const walk *w, double s, double speed)
     const td_polyline *line = w->line;
     const double all = line->s[line->count - 1];
     double ds = fmin(all / LEAST_STEPS, TURN / fmax(speed, 1e-9));
+    ds = fmin(ds, STIFF / fmax(w->stiff, 1e-9));
     for (size_t i = 1; i + 1 < line->count; i++)
         if (s < line->s[i] + line->half[i] && s + ds > line->s[i] - line->half[i])
             ds = fmin(ds, fmax(line->s[i] - line->half[i] - s, 2 * line->half[i] / CORNER_STEPS));
@@ -168,6 +172,9 @@ td_status td_path_of_tool(td_path *path, td_nearest *nearest, const td_arm *arm,
     walk w = {.arm = arm, .line = line, .path = path, .nearest = nearest};
     const double all = line->s[line->count - 1];
     double s = 0, first[TD_ROBOT_MAX_JOINTS], last[TD_ROBOT_MAX_JOINTS];
+    bool moves[TD_ROBOT_MAX_JOINTS];
+    td_tool_joints(moves, arm);
+    for (int k = 0; k < arm->robot->joint_count; k++) w.joints += moves[k];
     path->n = arm->robot->joint_count;
     TD_TRY(td_path_add(path, 0, q, error));
     if (!rates(first, &w, q, 0))

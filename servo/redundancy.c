@@ -95,8 +95,9 @@ void td_inverse_apply(double *dq, const td_inverse *inverse, const double *dx)
     }
 }
 
-/* phi = [sum |z|^p]^(1/p), z = (q - qmid) / Dq: its derivative by q is (|z| / phi)^(p-1) sign(z) / Dq. */
-static bool gradient(double *slope, const td_arm *arm, const double *q)
+/* phi = [sum |z|^p]^(1/p), z = (q - qmid) / Dq: its derivative by q is (|z| / phi)^(p-1) sign(z) / Dq, and
+ * how fast that changes at most the largest (p - 1) / phi (|z| / phi)^(p-2) / Dq^2. */
+static bool gradient(double *slope, double *bend, const td_arm *arm, const double *q)
 {
     const double p = arm->options->power;
     double z[TD_ROBOT_MAX_JOINTS], most = 0, sum = 0;
@@ -108,25 +109,30 @@ static bool gradient(double *slope, const td_arm *arm, const double *q)
         z[k] = moves[k] && isfinite(half) && half > 0 ? (q[k] - j->lower - half) / half : 0;
         most = fmax(most, fabs(z[k]));
     }
+    *bend = 0;
     if (!(most > 0)) return false;
     for (int k = 0; k < arm->robot->joint_count; k++) sum += pow(fabs(z[k]) / most, p);
     const double phi = most * pow(sum, 1 / p);
     for (int k = 0; k < arm->robot->joint_count; k++) {
         const td_robot_joint *j = arm->robot->joint + k;
+        if (z[k] != 0)
+            *bend =
+                fmax(*bend, (p - 1) / phi * pow(fabs(z[k]) / phi, p - 2) * pow(2 / (j->upper - j->lower), 2));
         slope[k] = z[k] == 0 ? 0 : copysign(pow(fabs(z[k]) / phi, p - 1), z[k]) * 2 / (j->upper - j->lower);
     }
     return true;
 }
 
-void td_inverse_avoid(double *dq, const td_inverse *inverse, const td_arm *arm, const double *q)
+double td_inverse_avoid(double *dq, const td_inverse *inverse, const td_arm *arm, const double *q)
 {
     const int m = inverse->rows, n = inverse->joints;
-    double slope[TD_ROBOT_MAX_JOINTS], seen[TD_TOOL_ROWS], held[TD_ROBOT_MAX_JOINTS];
-    if (arm->options->alpha == 0 || !gradient(slope, arm, q)) return;
+    double slope[TD_ROBOT_MAX_JOINTS], seen[TD_TOOL_ROWS], held[TD_ROBOT_MAX_JOINTS], bend = 0;
+    if (arm->options->alpha == 0 || !gradient(slope, &bend, arm, q)) return 0;
     for (int i = 0; i < m; i++) {
         seen[i] = 0;
         for (int k = 0; k < n; k++) seen[i] += inverse->jacobian[i * n + k] * slope[k];
     }
     td_inverse_apply(held, inverse, seen);
     for (int k = 0; k < n; k++) dq[k] += arm->options->alpha * (slope[k] - held[k]);
+    return -arm->options->alpha * bend;
 }

@@ -8,7 +8,7 @@
 
 #include "servo/trajectory_generator_internal.h"
 
-static const double MARGIN = 5e-4;  /* of limits: what points leave out of the way between them */
+static const double MARGIN = 1e-3;  /* of limits: what points leave out of the way between them */
 static const double LARGEST = 1e12; /* of x */
 enum { CUTS = 64 };
 

@@ -8,7 +8,7 @@
 #include "servo/trajectory_generator_internal.h"
 
 /* Looked at between knots, a motion may use this of a limit; it is planned for a little less. */
-static const double FULL = 1 - 1e-4;
+static const double FULL = 1 - 3e-4;
 static const double LEAST_TOLERANCE = 1e-5; /* m, rad */
 
 td_trajectory_options td_trajectory_options_default(void)
@@ -16,7 +16,7 @@ td_trajectory_options td_trajectory_options_default(void)
     return (td_trajectory_options){.law = TD_LAW_FASTEST,
                                    .ramp_share = 0.25,
                                    .share = 1,
-                                   .alpha = -0.5,
+                                   .alpha = -1,
                                    .power = 6,
                                    .radius_m = 1,
                                    .singular_share = 0.01,

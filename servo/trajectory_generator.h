@@ -73,7 +73,7 @@ typedef struct td_trajectory_options {
     double ramp_share;     /* of TD_LAW_CONSTANT_VELOCITY; in (0, 0.5]; default 0.25 */
     double share;          /* of every limit of speed, acceleration and flow; in (0, 1]; default 1 */
     double pump_m3_s;      /* all the pumps; default 0: the largest of the cylinders' limits */
-    double alpha;          /* default -0.5; 0: no care for limits */
+    double alpha;          /* default -1; 0: no care for limits */
     double power;          /* p; default 6 */
     double radius_m;       /* one radian of a row weighs as much as this; default 1 */
     double singular_share; /* s0 by the largest singular value; default 0.01 */

@@ -39,8 +39,8 @@ void td_inverse_make(td_inverse *inverse, const td_arm *arm, const double *jacob
                      double damping);
 /* dq = J+ dX. */
 void td_inverse_apply(double *dq, const td_inverse *inverse, const double *dx);
-/* Adds alpha (I - J+J) grad phi. */
-void td_inverse_avoid(double *dq, const td_inverse *inverse, const td_arm *arm, const double *q);
+/* Adds alpha (I - J+J) grad phi; gives how stiff that is, 1/m of path. */
+double td_inverse_avoid(double *dq, const td_inverse *inverse, const td_arm *arm, const double *q);
 
 /* ---- inverse_kinematics.c ---- */
 
