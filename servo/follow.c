@@ -6,12 +6,20 @@
 
 #include "servo/trajectory_generator_internal.h"
 
-enum { LEAST_STEPS = 24, MOST_STEPS = 4000, CORNER_STEPS = 12, CORRECTIONS = 8 };
+enum {
+    LEAST_STEPS = 24,
+    MOST_STEPS = 4000,
+    CORNER_STEPS = 12,
+    CORRECTIONS = 8,
+    LAST_CORRECTIONS = 10,
+    WHY = 160
+};
 static const double TURN = 0.03;     /* rad or m of a joint in a step */
 static const double CATCH_UP = 0.05; /* rad or m of a joint in a correction */
 static const double STIFF = 1; /* of the way in which what avoids limits would settle; at 2 it never does */
 static const double ON_PATH = 1e-10; /* m, rad */
-static const double THERE = 1e-6;    /* m, rad: at the goal, and where a singularity is over */
+static const double AT_GOAL = 1e-4;  /* m, rad */
+static const double THERE = 1e-6;    /* m, rad: less, and a singularity is over */
 
 typedef struct walk {
     const td_arm *arm;
@@ -124,21 +132,21 @@ static td_status stuck(const walk *w, const double *q, double s, const char *why
 }
 
 /* What forbids to stand at q, in `why`; joints that rounding carried out are put back. */
-static bool forbidden(char why[160], const walk *w, double *q)
+static bool forbidden(char why[WHY], const walk *w, double *q)
 {
     static const double rounding = 1e-9;
     const td_robot *r = w->arm->robot;
     for (int k = 0; k < r->joint_count; k++) {
         const td_robot_joint *j = r->joint + k;
         if (q[k] < j->lower - rounding || q[k] > j->upper + rounding) {
-            snprintf(why, 160, "joint '%s' meets its limit of %.4g", j->name,
+            snprintf(why, WHY, "joint '%s' meets its limit of %.4g", j->name,
                      q[k] < j->lower ? j->lower : j->upper);
             return true;
         }
         q[k] = fmin(fmax(q[k], j->lower), j->upper);
     }
     if (w->off_m > w->arm->options->off_m || w->off_rad > w->arm->options->off_rad) {
-        snprintf(why, 160, "a singularity holds the tool back by more than %g m or %g rad",
+        snprintf(why, WHY, "a singularity holds the tool back by more than %g m or %g rad",
                  w->arm->options->off_m, w->arm->options->off_rad);
         return true;
     }
@@ -152,7 +160,7 @@ static td_status advance(walk *w, double *q, double *s, td_error *error)
         "the tool's y axis stands nearly upright, where its angles are undetermined";
     const int n = w->arm->robot->joint_count;
     double dq[TD_ROBOT_MAX_JOINTS], next[TD_ROBOT_MAX_JOINTS];
-    char why[160];
+    char why[WHY];
     if (!rates(dq, w, q, *s)) return stuck(w, q, *s, upright, error);
     const double ds = step_from(w, *s, most_of(dq, n));
     for (int k = 0; k < n; k++) next[k] = q[k] + ds / 2 * dq[k];
@@ -172,6 +180,7 @@ td_status td_path_of_tool(td_path *path, td_nearest *nearest, const td_arm *arm,
     walk w = {.arm = arm, .line = line, .path = path, .nearest = nearest};
     const double all = line->s[line->count - 1];
     double s = 0, first[TD_ROBOT_MAX_JOINTS], last[TD_ROBOT_MAX_JOINTS];
+    char why[WHY];
     bool moves[TD_ROBOT_MAX_JOINTS];
     td_tool_joints(moves, arm);
     for (int k = 0; k < arm->robot->joint_count; k++) w.joints += moves[k];
@@ -180,7 +189,10 @@ td_status td_path_of_tool(td_path *path, td_nearest *nearest, const td_arm *arm,
     if (!rates(first, &w, q, 0))
         return stuck(&w, q, 0, "the tool's y axis stands nearly upright at the start", error);
     while (all - s > 1e-9 * all) TD_TRY(advance(&w, q, &s, error));
-    if (fmax(w.off_m, w.off_rad) > THERE)
+    for (int i = 0; fmax(w.off_m, w.off_rad) > ON_PATH && i < LAST_CORRECTIONS; i++)
+        if (!correct(q, &w, all)) break;
+    memcpy(path->q + (path->count - 1) * (size_t)path->n, q, (size_t)path->n * sizeof *q);
+    if (fmax(w.off_m, w.off_rad) > AT_GOAL || forbidden(why, &w, q))
         return stuck(&w, q, all, "a singularity holds the tool back at its end", error);
     if (!rates(last, &w, q, all)) return stuck(&w, q, all, "the tool's y axis stands nearly upright", error);
     return td_path_spline(path, first, last, error);

@@ -6,8 +6,9 @@
 #include "servo/trajectory_generator_internal.h"
 
 enum { STARTS = 16, STEPS = 120 };
-static const double THERE = 1e-8;  /* m, rad */
-static const double LONGEST = 0.5; /* rad, m: of a step */
+static const double THERE = 1e-8;   /* m, rad: sought */
+static const double REACHED = 1e-4; /* m, rad: enough, for in a singularity the last way is slow */
+static const double LONGEST = 0.5;  /* rad, m: of a step */
 static const double PI = 3.14159265358979323846;
 
 /* Half the weighted square of what is missing; INFINITY where the rows are undetermined. */
@@ -112,5 +113,5 @@ bool td_reach(double *q, double *off_m, double *off_rad, const td_arm *arm, cons
     }
     miss(difference, NULL, arm, value, q);
     td_tool_off(off_m, off_rad, arm->tool, difference);
-    return best <= THERE * THERE / 2;
+    return *off_m <= REACHED && *off_rad <= REACHED;
 }

@@ -5,7 +5,7 @@
 
 #include "servo/trajectory_generator_internal.h"
 
-enum { LINE_STEPS = 24, CORNER_STEPS = 12 };
+enum { LINE_STEPS = 36, CORNER_STEPS = 12 };
 
 void td_path_free(td_path *path)
 {

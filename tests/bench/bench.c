@@ -150,5 +150,6 @@ int main(int argc, char **argv)
     bench_match(&b);
     bench_tin(&b);
     bench_dynamics(&b);
+    bench_trajectory(&b);
     return 0;
 }
