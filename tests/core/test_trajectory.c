@@ -190,6 +190,23 @@ static void flow_is_the_swept_volume(void **state)
                 pi / 4 * (c->bore_m * c->bore_m - (speed < 0 ? c->rod_m * c->rod_m : 0)) * c->count;
             check_near(flow, area * speed, 1e-6 * fabs(flow));
         }
+    /* The pumps fill all, whichever way they move. */
+    td_trajectory *t = NULL;
+    td_trajectory_shares shares;
+    const double q[4] = {0, -0.5, 1.5, 0.5}, dq[4] = {0, 0.1, -0.2, 0.1};
+    double sum = 0;
+    check_ok(td_trajectory_new(&t, 4, 1, &error), error);
+    memcpy(t->q, q, sizeof q);
+    memcpy(t->dq, dq, sizeof dq);
+    for (int i = 0; i < robot->cylinder_count; i++) {
+        const int k = robot->cylinder[i].joint;
+        double flow = 0;
+        assert_true(td_cylinder_flow(&flow, robot, robot->cylinder + i, q[k], dq[k]));
+        sum += fabs(flow);
+    }
+    check_ok(td_trajectory_check(&shares, t, robot, 0.01, 0, &error), error);
+    check_near(shares.pump.share, sum / 0.01, 1e-12);
+    td_trajectory_free(&t);
     td_robot_free(&robot);
 }
 

@@ -535,6 +535,29 @@ static void stops_and_turns(void **state)
     td_robot_free(&robot);
 }
 
+/* A corner of two joints is missed by exactly its tolerance (each joint by its part of it; to 0.1 %), and
+ * passing it takes less than stopping there. */
+static void corners_are_rounded(void **state)
+{
+    (void)state;
+    td_robot *robot = six_joints();
+    const double q[6] = {0}, corner[6] = {1}, goal[6] = {1, 1};
+    td_via via[2] = {via_at(robot, NULL, corner), via_at(robot, NULL, goal)};
+    double duration[2], off[2] = {0}, speed = 0;
+    for (int stop = 0; stop < 2; stop++) {
+        td_trajectory *t = NULL;
+        td_error error = {0};
+        via[0].stop = stop;
+        check_ok(td_trajectory_plan(&t, NULL, robot, NULL, q, via, 2, NULL, &error), error);
+        duration[stop] = td_trajectory_duration(t);
+        if (!stop) nearest_to(off, &speed, t, robot, NULL, via);
+        td_trajectory_free(&t);
+    }
+    check_near(off[1], sqrt(2.0 / 6) * via[0].tolerance_rad, 3e-5);
+    check_less(duration[0], 0.95 * duration[1]);
+    td_robot_free(&robot);
+}
+
 /* The same task gives the same bits. */
 static void plans_repeat(void **state)
 {
@@ -594,6 +617,7 @@ int main(void)
                                        cmocka_unit_test(what_is_out_of_reach_is_refused),
                                        cmocka_unit_test(bad_requests_are_named),
                                        cmocka_unit_test(stops_and_turns),
+                                       cmocka_unit_test(corners_are_rounded),
                                        cmocka_unit_test(plans_repeat)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
