@@ -128,16 +128,21 @@ static td_status fill(td_timing *t, const td_path *path, const double *x, td_err
 static td_status solve(double *x, const td_arm *arm, const td_path *path, td_error *error)
 {
     const size_t last = path->count - 1;
+    double y[2], slope[2];
     bands all;
     for (size_t i = 0; i <= last; i++) TD_TRY(most_at(x + i, arm, path, i, error));
     x[last] = 0;
     for (size_t i = last; i-- > 0;) {
         bands_of(&all, arm, path, i, x[i + 1]);
         x[i] = largest_x(&all, x[i]);
+        /* Where the path turns sharply the largest x may leave only rest for the next point, from which the
+         * motion would never go on: less leaves it more, for the pairs (x, y) are a convex set with some at x
+         * = 0. */
+        range(y, slope, &all, x[i]);
+        if (i + 1 < last && y[1] < 1e-3 * x[i + 1]) x[i] *= 0.9;
     }
     x[0] = 0;
     for (size_t i = 0; i < last; i++) {
-        double y[2], slope[2];
         bands_of(&all, arm, path, i, x[i + 1]);
         range(y, slope, &all, x[i]);
         x[i + 1] = fmax(y[1], 0);
