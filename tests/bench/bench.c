@@ -155,5 +155,6 @@ int main(int argc, char **argv)
     bench_clock(&b);
     bench_world(&b);
     bench_soil(&b);
+    bench_trajectory(&b);
     return 0;
 }

@@ -11,6 +11,7 @@ extern "C" {
 
 typedef struct bench_row {
     const char *name, *unit; /* unit "s", "ms", "ns", "MB", "calls": less is better; "1/s": more is better */
+    const char *name, *unit; /* unit "s", "ms", "us", "ns", "MB": less is better; "1/s": more is better */
     double ours, peer;       /* medians; NaN: not measured */
     const char *peer_name;
     const char *error_unit;        /* NULL: no accuracy to compare */
@@ -73,6 +74,8 @@ void bench_clock(const bench *b);
 
 /* bench_world.c */
 void bench_world(const bench *b);
+/* bench_trajectory.c */
+void bench_trajectory(const bench *b);
 
 /* bench_opencv.cpp: OpenCV on the same points. n views of (points,2) pixels in each image; outputs RMS (px),
  * baseline (m). */
