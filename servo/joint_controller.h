@@ -1,9 +1,10 @@
 /* Joints follow a trajectory (TELEDIMOS, 2.1): rate = dq_wanted + K (q_wanted - q), within limits of speed,
  * acceleration, range and oil.
  *
- * There is no integral, so nothing winds up: behind a valve of lag tau the error at a constant rate is dq tau
- * short of what dq_wanted feeds forward, and none at rest. K is stable below td_lag_stable_gain and calm up
- * to td_lag_calm_gain (servo/lag.h): 3.9 1/s at a period of 50 ms and a lag of 50 ms; the paper's K is 3. */
+ * There is no integral, so nothing winds up. Behind a machine of lag tau a change of rate by r leaves an
+ * error of r tau, which K takes away; at a constant rate and at rest none is left. K is stable below
+ * td_lag_stable_gain and calm up to td_lag_calm_gain (servo/lag.h): 3.9 1/s at a period of 50 ms and a lag of
+ * 50 ms; the paper's K is 3. */
 #ifndef TELEDIMOS_SERVO_JOINT_CONTROLLER_H
 #define TELEDIMOS_SERVO_JOINT_CONTROLLER_H
 

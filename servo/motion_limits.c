@@ -5,8 +5,12 @@
 
 td_motion_limits td_motion_limits_default(void)
 {
-    return (td_motion_limits){
-        .period_s = 0.02, .lag_s = 0.05, .speed_share = 1, .acceleration_share = 1, .margin = 0.01};
+    return (td_motion_limits){.period_s = 0.02,
+                              .lag_s = 0.05,
+                              .speed_share = 1,
+                              .acceleration_share = 1,
+                              .brake_share = 0.7,
+                              .margin = 0.02};
 }
 
 static td_status check_number(const char *name, double value, double low, double high, td_error *error)
@@ -22,6 +26,7 @@ td_status td_motion_limits_check(const td_motion_limits *l, const td_robot *robo
     TD_TRY(check_number("the lag, s,", l->lag_s, 0, 100, error));
     TD_TRY(check_number("the share of speed", l->speed_share, 1e-6, 1, error));
     TD_TRY(check_number("the share of acceleration", l->acceleration_share, 1e-6, 1, error));
+    TD_TRY(check_number("the share of braking", l->brake_share, 1e-6, 1, error));
     TD_TRY(check_number("the pumps' flow, m^3/s,", l->pump_m3_s, 0, INFINITY, error));
     TD_TRY(check_number("the margin before stops", l->margin, 0, 1e3, error));
     for (int k = 0; k < robot->joint_count; k++) {
@@ -83,7 +88,8 @@ static void find_bounds(double *low, double *high, const td_motion_limits *l, co
 {
     for (int k = 0; k < robot->joint_count; k++) {
         const td_robot_joint *j = robot->joint + k;
-        const double a = j->acceleration * l->acceleration_share, rest = q[k] + l->lag_s * dq[k];
+        const double a = j->acceleration * l->acceleration_share * l->brake_share,
+                     rest = q[k] + l->lag_s * dq[k];
         const double speed = j->speed * l->speed_share;
         double bound[2] = {fmin(speed, td_stopping_speed(rest - j->lower - l->margin, a, l->period_s)),
                            fmin(speed, td_stopping_speed(j->upper - l->margin - rest, a, l->period_s))};
@@ -125,8 +131,8 @@ static void accelerate(double *rate, const double *step, const double *low, cons
     }
 }
 
-/* Joints that speed up wait for oil that others, braking, still take. */
-static void wait_for_oil(double *rate, const oil *o, const double *last, int n)
+/* Joints that speed up wait for oil that others, braking, still take: at the worst they brake as well. */
+static void wait_for_oil(double *rate, const oil *o, const double *step, const double *last, int n)
 {
     enum { HALVINGS = 40 };
     double tried[TD_ROBOT_MAX_JOINTS], low = 0, high = 1;
@@ -134,8 +140,9 @@ static void wait_for_oil(double *rate, const oil *o, const double *last, int n)
     for (int i = 0; i <= HALVINGS; i++) {
         const double part = i < HALVINGS ? (low + high) / 2 : low;
         for (int k = 0; k < n; k++) {
-            const bool faster = fabs(rate[k]) > fabs(last[k]);
-            tried[k] = faster ? last[k] + part * (rate[k] - last[k]) : rate[k];
+            const double braked = last[k] - held(last[k], -step[k], step[k]);
+            const bool faster = fabs(rate[k]) > fabs(braked);
+            tried[k] = faster ? braked + part * (rate[k] - braked) : rate[k];
         }
         *(taken(o, tried, n) <= o->pump ? &low : &high) = part;
     }
@@ -166,7 +173,7 @@ bool td_motion_limits_apply(double *rate, const td_motion_limits *l, const td_ro
     const double flow = taken(&o, rate, n);
     for (int k = 0; k < n && flow > o.pump; k++) rate[k] *= o.pump / flow;
     accelerate(rate, step, low, high, last, n, together);
-    wait_for_oil(rate, &o, last, n);
+    wait_for_oil(rate, &o, step, last, n);
     return true;
 }
 

@@ -25,8 +25,10 @@ typedef struct td_motion_limits {
     double lag_s;              /* tau; default 0.05 */
     double speed_share;        /* of the robot's limits, in (0, 1]; default 1 */
     double acceleration_share; /* the same */
-    double pump_m3_s;          /* all cylinders together; 0 (default): td_robot_pump */
-    double margin;             /* stops are taken to be this much nearer, rad or m; default 0.01 */
+    double brake_share; /* of that acceleration, with which stops are reckoned; default 0.7: the rest makes
+                           good what oil and frame give */
+    double pump_m3_s;   /* all cylinders together; 0 (default): td_robot_pump */
+    double margin;      /* stops are taken to be this much nearer, rad or m; default 0.02 */
 } td_motion_limits;
 TD_API td_motion_limits td_motion_limits_default(void);
 /* Refused by name: what is no number or out of range, a joint of unlimited speed or acceleration. */

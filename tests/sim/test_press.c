@@ -18,6 +18,7 @@
 #include "tests/check.h"
 
 #include "servo/force_controller.h"
+#include "servo/jog.h"
 #include "servo/lag.h"
 #include "servo/tool_force.h"
 #include "sim/dynamics.h"
@@ -220,12 +221,13 @@ static td_force_controller controller_of(const site *s, double force_n)
     return c;
 }
 
-static void press_one(site *s, double force_n, double stiffness_n_m)
+static void press_one(site *s, double force_n, double stiffness_n_m, td_command_kind kind)
 {
     enum { STEPS = 400, LAST = 100 };
     s->plane.stiffness_n_m = stiffness_n_m;
     stand(s, 0.02);
     td_force_controller c = controller_of(s, force_n);
+    c.options.kind = kind;
     double mean = 0, told = 0, most_off = 0, settled_s = 0, highest = -1, peak = 0;
     for (int i = 0; i < STEPS; i++) {
         double force[3];
@@ -256,7 +258,8 @@ static void test_press(void **unused)
     site s;
     (void)unused;
     begin(&s);
-    for (int i = 0; i < 9; i++) press_one(&s, forces[i % 3], walls[i / 3]);
+    for (int i = 0; i < 9; i++) press_one(&s, forces[i % 3], walls[i / 3], TD_COMMAND_RATE);
+    press_one(&s, 20e3, 1e7, TD_COMMAND_FLOW);
     end(&s);
 }
 
@@ -334,6 +337,46 @@ static void test_limit(void **unused)
     end(&s);
 }
 
+/* The stick held until the joint has come to its end: it never meets the stop. The margin of 20 mrad is for
+ * what the oil gives as forces change: some 200 kN (2 mm, 3 mrad) at the boom, more as the arm swings on it.
+ */
+static void test_jog(void **unused)
+{
+    static const int joints[3] = {1, 2, 3};
+    site s;
+    (void)unused;
+    begin(&s);
+    for (int i = 0; i < 6; i++) {
+        td_jog jog;
+        td_error error = {0};
+        td_plant_command command;
+        const int k = joints[i / 2], way = i % 2 ? 1 : -1;
+        const td_jog_wish wish = {.kind = TD_JOG_JOINT, .joint = k, .stick = way};
+        const td_robot_joint *j = s.robot->joint + k;
+        size_t events = 0;
+        double nearest = INFINITY;
+        stand(&s, 1);
+        check_ok(td_machine_touch(s.machine, NULL, &error), error);
+        check_ok(td_jog_start(&jog, s.robot, NULL, i < 3 ? TD_COMMAND_RATE : TD_COMMAND_FLOW, &error), error);
+        for (int n = 0; n < 400; n++) {
+            const td_plant_state state = read_state(s.machine);
+            nearest = fmin(nearest, way > 0 ? j->upper - state.q[k] : state.q[k] - j->lower);
+            check_ok(td_jog_step(&command, &jog, &wish, &state, &error), error);
+            check_ok(td_machine_command(s.machine, &command, NULL, &error), error);
+            check_ok(td_machine_step(s.machine, 0.02, &error), error);
+        }
+        const td_plant_state state = read_state(s.machine);
+        td_machine_events(s.machine, &events);
+        const double left = way > 0 ? j->upper - state.q[k] : state.q[k] - j->lower;
+        printf("%s %s: stops %.2f mrad before its stop, was at most %.2f mrad from it\n", j->name,
+               way > 0 ? "down" : "up", 1e3 * left, 1e3 * nearest);
+        assert_int_equal(events, 0);
+        check_less(5e-3, nearest);
+        check_less(left, 0.03);
+    }
+    end(&s);
+}
+
 /* Without ground it goes as far as it may. */
 static void test_travel(void **unused)
 {
@@ -396,7 +439,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_contact), cmocka_unit_test(test_refusals), cmocka_unit_test(test_bounce),
         cmocka_unit_test(test_press),   cmocka_unit_test(test_limit),    cmocka_unit_test(test_travel),
-        cmocka_unit_test(test_mass),
+        cmocka_unit_test(test_mass),    cmocka_unit_test(test_jog),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
