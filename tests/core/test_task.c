@@ -44,11 +44,19 @@ static void check_steps(const td_task *t)
     check_near(t->step[2].as.position.to.q[0], 1, 0);
     assert_true(t->step[3].as.drive.has_to && !t->step[4].as.drive.has_to);
     check_near(t->step[3].as.drive.yaw_deg, 10, 0);
+    check_near(t->step[3].as.drive.speed_m_s, 0.5, 0);
+    check_near(t->step[4].as.drive.distance_m, 3, 0);
     check_near(t->step[4].as.drive.turn_deg, 20, 0);
+    check_near(t->step[5].as.dig.length_m, 2, 0);
     check_near(t->step[5].as.dig.depth_m, 0.4, 0);
+    check_near(t->step[5].as.dig.width_m, 1, 0);
+    check_near(t->step[5].as.dig.heading_deg, 180, 0);
     check_near(t->step[5].as.dig.force_n, 4e4, 0);
     check_near(t->step[6].as.dump.at_m[1], 5, 0);
     check_near(t->step[7].as.press.axis[2], -1, 0);
+    check_near(t->step[7].as.press.force_n, 2e4, 0);
+    check_near(t->step[7].as.press.for_s, 3, 0);
+    check_near(t->step[7].as.press.approach_speed_m_s, 0.02, 0);
     check_near(t->step[7].as.press.most_travel_m, 0.3, 0);
     check_near(t->step[8].as.wait_s, 1, 0);
 }

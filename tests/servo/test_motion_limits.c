@@ -143,10 +143,10 @@ static void tip_of(double tip[3], double *pitch, const td_robot *robot, const do
 
 static void test_tool(void **unused)
 {
-    static const double ways[3][3] = {{-1, 0, 0}, {0, 0, 2}, {-1, 0, 1}};
+    static const double ways[4][3] = {{-1, 0, 0}, {0, 0, 2}, {-1, 0, 1}, {0, 1, 0}};
     td_robot *robot = zx200();
     (void)unused;
-    for (int w = 0; w < 3; w++) {
+    for (int w = 0; w < 4; w++) {
         td_jog jog;
         td_error error = {0};
         td_plant_command command;
