@@ -11,7 +11,6 @@ extern "C" {
 
 typedef struct bench_row {
     const char *name, *unit; /* unit "s", "ms", "ns", "MB", "calls": less is better; "1/s": more is better */
-    const char *name, *unit; /* unit "s", "ms", "us", "ns", "MB": less is better; "1/s": more is better */
     double ours, peer;       /* medians; NaN: not measured */
     const char *peer_name;
     const char *error_unit;        /* NULL: no accuracy to compare */
