@@ -13,8 +13,9 @@
  * - relief: where the means around lie off their plane by more than matching explains, the ground is no plane
  * there: the slope is known as badly, and what the points do not show of the cell counts. (Points that show
  * all but a strip h of the cell have their mean h / 2 of the cell away from its centre; the strip's part in
- * the mean is h, and it lies the farther off the wider it is: h^2 relief^0.5 together.) Without it, cells at
- * the upper edge of a stone would take a slope along the ray, and a sigma of nothing. */
+ * the mean is h, and it lies the farther off the wider it is: h^2 relief^0.5 together. Points in rows, n of
+ * them, miss relief^0.5 / n.) Without it, cells at the upper edge of a stone would take a slope along the
+ * ray, and a sigma of nothing. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -214,7 +215,7 @@ static td_measure measure(const td_frame_cells *c, const td_frame_tile *tile, co
     const double away = hypot(cell->x, cell->y);
     const double hidden = fmin(1, 2 * away / c->fusion->options.cell_m);
     const double off =
-        cell->slope_variance * away * away + (pow(hidden, 4) + 1 / (double)cell->count) * cell->relief;
+        cell->slope_variance * away * away + (pow(hidden, 4) + pow(cell->count, -2)) * cell->relief;
     const double pose = td_frame_pose_variance(c, p, up);
     return (td_measure){.height = from[2] + cell->z - cell->slope[0] * cell->x - cell->slope[1] * cell->y,
                         .noise = matching + scatter + off + pose,
