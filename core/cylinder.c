@@ -189,6 +189,28 @@ bool td_cylinder_angle(double *angle, const td_robot *robot, const td_cylinder *
     return found;
 }
 
+double td_cylinder_area(const td_cylinder *cylinder, bool grows)
+{
+    const double bore = cylinder->bore_m * cylinder->bore_m, rod = cylinder->rod_m * cylinder->rod_m;
+    return cylinder->count * PI / 4 * (grows ? bore : bore - rod);
+}
+
+bool td_cylinder_flow(double *flow_m3_s, const td_robot *robot, const td_cylinder *cylinder, double angle,
+                      double rate)
+{
+    double lever = 0;
+    if (!td_cylinder_length(NULL, &lever, robot, cylinder, angle)) return false;
+    *flow_m3_s = lever * rate * td_cylinder_area(cylinder, lever * rate > 0);
+    return true;
+}
+
+double td_robot_pump(const td_robot *robot)
+{
+    double pump = robot->cylinder_count ? 0 : INFINITY;
+    for (int i = 0; i < robot->cylinder_count; i++) pump = fmax(pump, robot->cylinder[i].flow_m3_s);
+    return pump;
+}
+
 /* ---- checks ---- */
 
 static bool leaves_plane(const td_robot *robot, const td_cylinder *cylinder)

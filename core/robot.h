@@ -153,6 +153,15 @@ TD_API bool td_cylinder_length(double *length_m, double *lever_m, const td_robot
                                const td_cylinder *cylinder, double angle);
 TD_API bool td_cylinder_angle(double *angle, const td_robot *robot, const td_cylinder *cylinder,
                               double length_m);
+/* Area that oil fills, m^2, of all `count` together: the bore's while they grow, the annulus' else. */
+TD_API double td_cylinder_area(const td_cylinder *cylinder, bool grows);
+/* Oil taken, m^3/s, by all `count` together while the joint at `angle` turns at `rate`; its sign is that of
+ * the piston's speed (positive: outwards). False outside the reach of the bars. */
+TD_API bool td_cylinder_flow(double *flow_m3_s, const td_robot *robot, const td_cylinder *cylinder,
+                             double angle, double rate);
+/* What all the pumps give where nothing else is known, m^3/s: the largest of the cylinders' limits;
+ * INFINITY without cylinders. */
+TD_API double td_robot_pump(const td_robot *robot);
 
 #ifdef __cplusplus
 }

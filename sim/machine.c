@@ -20,15 +20,11 @@ td_machine_options td_machine_options_default(const td_robot *robot)
                             .oil_n_m = 1e8,
                             .oil_s = 0.01,
                             .valve_s = 0.05,
-                            .pump_m3_s = INFINITY,
+                            .pump_m3_s = td_robot_pump(robot),
                             .slip = 5e-3,
                             .suspension = 1,
                             .stop_damping = 10,
                             .integrator = td_integrator_options_default()};
-    for (int i = 0; i < robot->cylinder_count; i++) {
-        const double flow = robot->cylinder[i].flow_m3_s;
-        if (i == 0 || flow > o.pump_m3_s) o.pump_m3_s = flow;
-    }
     for (int k = 0; k < robot->joint_count; k++) {
         const td_robot_joint *j = robot->joint + k;
         const bool known = isfinite(j->effort) && isfinite(j->speed) && j->speed > 0;

@@ -6,7 +6,6 @@
 
 /* Of the force limit: where the relief valve opens. At the limit it passes the full flow. */
 static const double RELIEF_OPENS = 0.97;
-static const double PI = 3.14159265358979323846;
 
 /* ---- what drives each joint ---- */
 
@@ -21,10 +20,9 @@ static void make_motor(td_actuator *a, const td_robot_joint *joint)
 
 static void make_cylinder(td_actuator *a, const td_cylinder *c)
 {
-    const double bore = PI / 4 * c->bore_m * c->bore_m, rod = PI / 4 * c->rod_m * c->rod_m;
     a->cylinder = c;
-    a->area[0] = c->count * bore;
-    a->area[1] = c->count * (bore - rod);
+    a->area[0] = td_cylinder_area(c, true);
+    a->area[1] = td_cylinder_area(c, false);
     for (int side = 0; side < 2; side++) {
         a->force[side] = c->pressure_pa * a->area[side];
         a->speed[side] = c->flow_m3_s / a->area[side];

@@ -151,5 +151,6 @@ int main(int argc, char **argv)
     bench_tin(&b);
     bench_dynamics(&b);
     bench_integrator(&b);
+    bench_trajectory(&b);
     return 0;
 }

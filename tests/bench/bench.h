@@ -11,6 +11,7 @@ extern "C" {
 
 typedef struct bench_row {
     const char *name, *unit; /* unit "s", "ms", "ns", "MB", "calls": less is better; "1/s": more is better */
+    const char *name, *unit; /* unit "s", "ms", "us", "ns", "MB": less is better; "1/s": more is better */
     double ours, peer;       /* medians; NaN: not measured */
     const char *peer_name;
     const char *error_unit;        /* NULL: no accuracy to compare */
@@ -63,6 +64,8 @@ void bench_integrator(const bench *b);
 
 /* bench_dynamics.c */
 void bench_dynamics(const bench *b);
+/* bench_trajectory.c */
+void bench_trajectory(const bench *b);
 
 /* bench_opencv.cpp: OpenCV on the same points. n views of (points,2) pixels in each image; outputs RMS (px),
  * baseline (m). */
