@@ -49,6 +49,14 @@ TD_API td_field td_field_at(const td_field *parent, size_t index, char name[TD_F
 TD_API td_status td_field_fail(const td_field *field, td_error *error, const char *format, ...)
     TD_PRINTF(3, 4);
 
+/* The line, from 1, where `path` ("steps[2].press.force_n", as messages have it) stands in a text that
+ * td_document_parse accepts: that of the deepest part of it that is there; 0: none is. */
+TD_API size_t td_document_line(const char *text, size_t size, const char *path);
+/* Puts the line into what td_field_fail, or a getter, said of the text called `name`: "NAME:LINE: PATH:
+ * MESSAGE"; for an unknown key the key's own line. Other messages stay as they are. Returns `status`. */
+TD_API td_status td_document_locate(td_error *error, td_status status, const char *text, size_t size,
+                                    const char *name);
+
 /* Each fails, naming the field, when it is absent, of another type, not finite or outside [low, high]. */
 TD_API td_status td_field_real(double *value, const td_field *field, double low, double high,
                                td_error *error);

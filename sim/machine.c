@@ -98,28 +98,38 @@ static void make_stops(td_machine *m)
         const td_robot_joint *j = m->robot.joint + k;
         const bool known = isfinite(j->effort) && j->effort > 0;
         m->stop_n[k] = known ? j->effort / STOP_GIVES : STOP_UNKNOWN_N;
-        for (int upper = 0; upper < 2 && count < TD_ODE_MAX_EVENTS; upper++)
+        for (int upper = 0; upper < 2 && count < TD_ODE_MAX_EVENTS - 1; upper++)
             if (isfinite(upper ? j->upper : j->lower)) {
                 m->event_joint[count] = k;
                 m->event_upper[count++] = upper;
             }
     }
-    m->ode.event_count = count;
+    m->event_joint[count] = -1; /* the plane */
+    m->ode.event_count = count + 1;
 }
 
-/* Above 0: past that stop. Never 0: two zeros within rounding of one another would stop the search for roots.
+/* Above 0: past that stop, in the plane. Never 0: two zeros within rounding of one another would stop the
+ * search for roots.
  */
-static void stop_events(double *g, double t, const double *y, void *machine)
+static void find_events(double *g, double t, const double *y, void *machine)
 {
     const td_machine *m = machine;
     const td_machine_layout l = td_machine_layout_of(m);
+    const size_t stops = m->ode.event_count - 1;
     (void)t;
-    for (size_t i = 0; i < m->ode.event_count; i++) {
+    g[stops] = -1;
+    if (m->contact.link >= 0) {
+        td_machine_view v;
+        td_machine_open(&v, m, y);
+        g[stops] = td_contact_depth(m, &v);
+    }
+    for (size_t i = 0; i < stops; i++) {
         const td_robot_joint *j = m->robot.joint + m->event_joint[i];
         const double q = y[l.q + m->event_joint[i]];
         g[i] = m->event_upper[i] ? q - j->upper : j->lower - q;
-        if (g[i] == 0) g[i] = DBL_MIN;
     }
+    for (size_t i = 0; i <= stops; i++)
+        if (g[i] == 0) g[i] = DBL_MIN;
 }
 
 /* What is small for each state: a tolerance on states near 0 (rad, m, rad/s, m/s, N, m/s). */
@@ -174,7 +184,7 @@ static td_status build(td_machine *m, const char *folder, td_error *error)
     m->ode.size = size;
     m->ode.rate = td_machine_rate;
     m->ode.jacobian = td_machine_jacobian;
-    m->ode.events = stop_events;
+    m->ode.events = find_events;
     m->ode.user = m;
     make_tolerances(m);
     if (!m->options.integrator.absolute) m->options.integrator.absolute = m->absolute;
@@ -196,6 +206,7 @@ td_status td_machine_new(td_machine **machine, const td_robot *robot, const td_m
     if (!m) return td_fail(error, TD_ERROR_MEMORY, "no memory for machine '%s'", robot->name);
     m->robot = *robot;
     m->options = o;
+    m->contact = td_machine_contact_default();
     td_status status = build(m, folder, error);
     if (status != TD_OK)
         td_machine_free(&m);

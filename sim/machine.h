@@ -16,7 +16,10 @@
  *
  * Joints. Friction is viscous d + coulomb tanh(d / slip) of the rate d. Stops are springs with Hunt and
  * Crossley's damping (1975): they give 1 mrad (mm) under the joint's effort. Where a joint meets a stop or
- * leaves it is an event, located in time. */
+ * leaves it is an event, located in time.
+ *
+ * Contact. A point of a link may meet one plane that stands in the site: a spring with Hunt and Crossley's
+ * damping and friction, of which machine_contact.c gives the formula. Touching and leaving are events. */
 #ifndef TELEDIMOS_SIM_MACHINE_H
 #define TELEDIMOS_SIM_MACHINE_H
 
@@ -86,18 +89,36 @@ TD_API void td_machine_state(const td_machine *machine, td_plant_state *state);
  * what td_machine_command refuses above. */
 TD_API void td_machine_limit(double limit[2], const td_machine *machine, td_command_kind kind, int joint);
 
+/* A plane that a point of a link meets. The ground under a bucket tip, a wall before it. */
+typedef struct td_machine_contact {
+    int link;
+    double point_m[3];            /* of the link, in its frame */
+    double plane_m[3], normal[3]; /* a point of the plane, and its direction out of the ground, in the site */
+    double stiffness_n_m;         /* default 1e7 */
+    double damping_s_m;           /* of Hunt and Crossley; default 1 */
+    double friction, slip_m_s;    /* coefficient, and speed at which friction is nearly whole; 0.4, 5e-3 */
+} td_machine_contact;
+TD_API td_machine_contact td_machine_contact_default(void); /* of no link: name one */
+/* From now on; NULL: nothing is met (as after td_machine_new). td_machine_settle counts no contact: settle
+ * above the plane. Refused by name: no such link, what is no number, a normal of no length, no stiffness. */
+TD_API td_status td_machine_touch(td_machine *machine, const td_machine_contact *contact, td_error *error);
+/* The plane's force on the tool, N, in the site's axes (0 where it is not touched); returns how far the point
+ * is above the plane, m (INFINITY: there is none). */
+TD_API double td_machine_contact_force(double force[3], const td_machine *machine);
+
 typedef struct td_machine_energy {
-    double kinetic, gravity, suspension, oil, stops; /* J; gravity: against the site's origin */
+    double kinetic, gravity, suspension, oil, stops, contact; /* J; gravity: against the site's origin */
     double total;
 } td_machine_energy;
 TD_API td_machine_energy td_machine_energies(const td_machine *machine);
 /* Linear (N s) and angular (N m s, about the site's origin) momentum, in the site's axes. */
 TD_API void td_machine_momentum(double linear[3], double angular[3], const td_machine *machine);
 
-/* Where joints met (rising) or left their stops, in the order of time; the first 1024 are kept. */
+/* Where joints met (rising) or left their stops, or the tool the plane, in the order of time; the first 1024
+ * are kept. */
 typedef struct td_machine_event {
     double time_s;
-    int joint;
+    int joint; /* -1: the plane was met or left */
     bool upper, met;
 } td_machine_event;
 TD_API const td_machine_event *td_machine_events(const td_machine *machine, size_t *count);

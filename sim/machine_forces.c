@@ -192,6 +192,7 @@ bool td_machine_rate(double *dy, double t, const double *y, void *machine)
     td_machine_open(&v, m, y);
     td_suspension_wrench(force, m, &v);
     if (!drive(dy, force + 6, m, t, &v)) return false;
+    td_contact_force(force, m, &v);
     const bool ok = l.pose < 0 ? accelerate_fixed(acceleration, m, &v, force)
                                : td_dynamics_forward(acceleration, m->dynamics, v.q, v.nu, force, v.gravity,
                                                      m->options.coriolis);

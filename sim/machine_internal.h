@@ -26,6 +26,7 @@ struct td_machine {
     td_dynamics *dynamics;
     td_actuator actuator[TD_ROBOT_MAX_JOINTS];
     double stop_n[TD_ROBOT_MAX_JOINTS]; /* stiffness of the stops */
+    td_machine_contact contact;         /* link -1: none */
     double spring[6], damper[6];        /* suspension: turn about x, y, z; shift along x, y, z (anchor) */
     td_plant_command command;
     double slope[TD_ROBOT_MAX_JOINTS], command_s;
@@ -102,6 +103,21 @@ void td_base_from_site(double in_base[3], const td_pose *site_from_base, const d
 bool td_machine_cholesky(double *a, int n);
 void td_machine_cholesky_solve(double *x, const double *factor, int n);
 bool td_machine_rate(double *dy, double t, const double *y, void *machine);
+
+/* machine_contact.c */
+/* How deep the point is in the plane, m; there must be one. */
+double td_contact_depth(const td_machine *machine, const td_machine_view *view);
+double td_contact_energy(const td_machine *machine, const td_machine_view *view);
+/* Adds the plane's force (6+n). */
+void td_contact_force(double *force, const td_machine *machine, const td_machine_view *view);
+/* Its derivatives, a column each: by angles, velocities, a turn of the base in its axes and a shift in the
+ * site. False: nothing is touched. `width` is that of differences by the angles. */
+typedef struct td_contact_slope {
+    double by_q[TD_ROBOT_MAX_JOINTS][TD_DYNAMICS_MAX], by_nu[TD_DYNAMICS_MAX][TD_DYNAMICS_MAX];
+    double by_turn[3][TD_DYNAMICS_MAX], by_shift[3][TD_DYNAMICS_MAX];
+} td_contact_slope;
+bool td_contact_slopes(td_contact_slope *slope, const td_machine *machine, const td_machine_view *view,
+                       double width);
 
 /* machine_jacobian.c */
 bool td_machine_jacobian(double *j, double t, const double *y, const double *dy, void *machine);

@@ -188,6 +188,24 @@ static bool by_joints(work *w, double *j, double t)
     return true;
 }
 
+static void by_contact(work *w)
+{
+    const td_machine_layout *l = &w->l;
+    td_contact_slope s;
+    if (!td_contact_slopes(&s, w->m, &w->v, WIDTH)) return;
+    for (int i = 0; i < 6 + l->n; i++) {
+        for (int k = 0; k < l->n; k++) {
+            *at(w, i, l->q + k) += s.by_q[k][i];
+            *at(w, i, l->dq + k) += s.by_nu[6 + k][i];
+        }
+        for (int k = 0; k < 6 && l->nu >= 0; k++) *at(w, i, l->nu + k) += s.by_nu[k][i];
+        for (int k = 0; k < 3 && l->pose >= 0; k++) {
+            add_turn_column(w, i, k, s.by_turn[k][i]);
+            *at(w, i, l->pose + 4 + k) += s.by_shift[k][i];
+        }
+    }
+}
+
 /* ---- all together ---- */
 
 /* Rows of the accelerations: M^-1 times the columns. */
@@ -263,6 +281,7 @@ bool td_machine_jacobian(double *j, double t, const double *y, const double *dy,
     }
     memcpy(w.acceleration + 6, dy + l->dq, (size_t)l->n * sizeof *dy);
     by_motion(&w);
+    by_contact(&w);
     if (!by_joints(&w, j, t) || !accelerations(&w, j)) return false;
     for (int k = 0; k < l->n; k++) j[(l->q + k) * l->size + l->dq + k] = 1;
     if (l->pose >= 0) kinematics(&w, j, y);

@@ -214,7 +214,8 @@ td_machine_energy td_machine_energies(const td_machine *m)
         e.oil += v.force[k] * v.force[k] / (2 * m->options.oil_n_m);
         e.stops += td_stop_energy(m, k, v.q[k]);
     }
-    e.total = e.kinetic + e.gravity + e.suspension + e.oil + e.stops;
+    e.contact = td_contact_energy(m, &v);
+    e.total = e.kinetic + e.gravity + e.suspension + e.oil + e.stops + e.contact;
     return e;
 }
 

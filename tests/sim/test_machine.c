@@ -506,11 +506,31 @@ static double jacobian_apart(td_machine *machine, const double *y, double t)
     return worst;
 }
 
+/* The bucket's tip 2 mm deep in a plane aslant, moving. */
+static void press_tip(td_machine *machine, const td_robot *robot)
+{
+    const td_plant_state s = read_state(machine);
+    td_machine_contact c = td_machine_contact_default();
+    td_pose link[TD_ROBOT_MAX_LINKS];
+    double tip[3], force[3];
+    td_error error = {0};
+    c.link = td_robot_find_link(robot, "bucket_tip");
+    c.point_m[0] = 0.1;
+    c.normal[0] = 0.3;
+    c.normal[1] = -0.2;
+    td_robot_forward(link, robot, s.q);
+    td_pose_transform(tip, link + c.link, c.point_m);
+    td_pose_transform(c.plane_m, &s.site_from_vehicle, tip);
+    c.plane_m[2] += 2e-3 * sqrt(1.13); /* above the tip, along the normal: 2 mm */
+    check_ok(td_machine_touch(machine, &c, &error), error);
+    check_near(td_machine_contact_force(force, machine), -2e-3, 1e-9);
+}
+
 static void test_jacobian(void **unused)
 {
     td_robot *robot = zx200();
     (void)unused;
-    for (int kind = 0; kind < 12; kind++) {
+    for (int kind = 0; kind < 15; kind++) {
         td_machine_options o = td_machine_options_default(robot);
         o.base = (td_machine_base)(kind % 3);
         o.coriolis = kind != 3;
@@ -533,6 +553,7 @@ static void test_jacobian(void **unused)
                     : kind == 7 ? TD_COMMAND_FLOW
                                 : TD_COMMAND_RATE,
                     0.1, kind == 7 ? 1e-3 : 0.1, kind == 7 ? 1e-3 : -0.05, kind == 7 ? -1e-3 : 0.05);
+        if (kind >= 12) press_tip(machine, robot);
         double y[64];
         memcpy(y, td_machine_values(machine), td_machine_size(machine) * sizeof *y);
         const size_t n = td_machine_size(machine), at = o.base == TD_MACHINE_FIXED ? 0 : 7;
