@@ -2,7 +2,7 @@
 #   . apps/install.sh; td_install "$TD_BUILD_PACKAGES"
 
 TD_BUILD_PACKAGES="gcc g++ cmake ninja-build ccache pkg-config libopencv-dev libvisp-dev libceres-dev liblapacke-dev
-    libopenblas-dev libyaml-dev libjansson-dev libpng-dev libjpeg-dev libssl-dev libapriltag-dev libopencv-contrib-dev
+    libopenblas-dev libyaml-dev libjansson-dev libpng-dev zlib1g-dev libjpeg-dev libssl-dev libapriltag-dev libopencv-contrib-dev
     libcairo2-dev libsundials-dev libxml2-dev liburdfdom-dev libzip-dev libwebsockets-dev libgdal-dev libcgal-dev
     libopenmpi-dev openmpi-bin"
 TD_DATA_PACKAGES="opencv-doc visp-images-data"

@@ -177,13 +177,19 @@ static td_status fill(int fd, const char *path, td_file_part part, void *user, t
     return status == TD_OK && cause ? write_failed(path, cause, error) : status;
 }
 
-td_status td_file_write_parts(const char *path, td_file_part part, void *user, td_error *error)
+/* rename() would put a plain file in the place of a device. */
+static td_status check_place(const char *path, td_error *error)
 {
-    /* rename() would put a plain file in the place of a device. */
     struct stat status;
     if (stat(path, &status) == 0 && !S_ISREG(status.st_mode))
         return td_fail(error, TD_ERROR_IO, "%s: is %s, so no file can be written there", path,
                        kind_of(status.st_mode));
+    return TD_OK;
+}
+
+td_status td_file_write_parts(const char *path, td_file_part part, void *user, td_error *error)
+{
+    TD_TRY(check_place(path, error));
     char *folder = td_path_folder(path), *temporary = NULL;
     if (!folder) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for its name", path);
     int fd = create_temporary(&temporary, folder);
@@ -215,6 +221,53 @@ td_status td_file_write(const char *path, const void *bytes, size_t size, td_err
 {
     whole w = {bytes, size};
     return td_file_write_parts(path, whole_part, &w, error);
+}
+
+td_status td_file_part_begin(int *fd, const char *part, const char *path, td_error *error)
+{
+    struct flock all = {.l_type = F_WRLCK, .l_whence = SEEK_SET};
+    TD_TRY(check_place(path, error));
+    TD_TRY(check_place(part, error));
+    int opened;
+    do opened = open(part, O_WRONLY | O_CREAT | O_CLOEXEC | O_NOCTTY, 0644);
+    while (opened < 0 && errno == EINTR);
+    if (opened < 0) return write_failed(part, errno, error);
+    /* Emptied only once it is ours. A file system without locks says ENOLCK or EINVAL: nothing can be done.
+     */
+    int cause = 0;
+    if (fcntl(opened, F_SETLK, &all) != 0 && (errno == EACCES || errno == EAGAIN)) cause = errno;
+    if (cause) {
+        close(opened);
+        return td_fail(error, TD_ERROR_IO,
+                       "%s: is being written by another process; wait for its end, or choose "
+                       "another name",
+                       path);
+    }
+    if (ftruncate(opened, 0) != 0) {
+        cause = errno;
+        close(opened);
+        return write_failed(part, cause, error);
+    }
+    *fd = opened;
+    return TD_OK;
+}
+
+td_status td_file_part_add(int fd, const char *path, const void *bytes, size_t size, td_error *error)
+{
+    return write_bytes(fd, bytes, size) ? TD_OK : write_failed(path, errno, error);
+}
+
+td_status td_file_part_finish(int fd, const char *part, const char *path, td_error *error)
+{
+    char *folder = td_path_folder(path);
+    int cause = folder ? 0 : ENOMEM;
+    /* Renamed while it is open: closing gives up the lock. */
+    if (!cause && fsync(fd) != 0) cause = errno;
+    if (!cause && rename(part, path) != 0) cause = errno;
+    if (close(fd) != 0 && errno != EINTR && !cause) cause = errno;
+    if (!cause && !sync_folder(folder)) cause = errno;
+    free(folder);
+    return cause ? write_failed(path, cause, error) : TD_OK;
 }
 
 td_status td_file_stream(FILE **file, const char *path, td_error *error)

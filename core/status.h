@@ -26,7 +26,8 @@ extern "C" {
     X(TD_ERROR_CONVERGENCE, "an iteration did not converge")                                                 \
     X(TD_ERROR_CANCELLED, "cancelled")                                                                       \
     X(TD_ERROR_UNSUPPORTED, "not supported by this build")                                                   \
-    X(TD_ERROR_EXTERNAL, "a library underneath failed")
+    X(TD_ERROR_EXTERNAL, "a library underneath failed")                                                      \
+    X(TD_ERROR_DEADLINE, "a deadline was missed")
 
 typedef enum td_status {
 #define TD_STATUS_ENUM(code, text) code,

@@ -152,5 +152,6 @@ int main(int argc, char **argv)
     bench_dynamics(&b);
     bench_integrator(&b);
     bench_trajectory(&b);
+    bench_clock(&b);
     return 0;
 }
