@@ -103,35 +103,45 @@ static td_status look_at_knot(const look *l, size_t knot, td_error *error)
 }
 
 /* Between two knots an acceleration is a cubic, so its extremes are exact from four places; a rate has its
- * own where the acceleration passes 0. */
+ * own where the acceleration passes 0; the pumps' flow is near enough to a cubic. The first knot has just
+ * been looked at; so is the other one here. */
 static td_status look_exactly(const look *l, size_t knot, double from_s, double to_s, td_error *error)
 {
     const size_t n = (size_t)l->trajectory->joints;
-    double all[4][TD_ROBOT_MAX_JOINTS], unused[TD_ROBOT_MAX_JOINTS];
-    double pump[4], at[2], value[2];
     const double third = (to_s - from_s) / 3;
-    for (size_t k = 0; k < n; k++) {
-        all[0][k] = l->trajectory->ddq[knot * n + k];
-        all[3][k] = l->trajectory->ddq[(knot + 1) * n + k];
-    }
-    pump[0] = *l->pump;
+    double all[2][TD_ROBOT_MAX_JOINTS], unused[TD_ROBOT_MAX_JOINTS], pump[4] = {*l->pump}, at[2], value[2];
     for (int i = 1; i < 3; i++) {
-        TD_TRY(look_when(l, from_s + i * third, all[i], error));
+        TD_TRY(look_when(l, from_s + i * third, all[i - 1], error));
         pump[i] = *l->pump;
     }
     TD_TRY(look_at_knot(l, knot + 1, error));
     pump[3] = *l->pump;
-    const int peaks = turns(at, value, pump);
-    for (int i = 0; i < peaks; i++) TD_TRY(look_when(l, from_s + at[i] * third, unused, error));
+    for (int i = turns(at, value, pump); i-- > 0;)
+        keep(&l->shares->pump, value[i], from_s + at[i] * third, -1);
     for (size_t k = 0; k < n; k++) {
-        const double f[4] = {all[0][k], all[1][k], all[2][k], all[3][k]};
-        const int count = turns(at, value, f);
-        for (int i = 0; i < count; i++)
+        const double *ddq = l->trajectory->ddq + knot * n + k, f[4] = {ddq[0], all[0][k], all[1][k], ddq[n]};
+        for (int i = turns(at, value, f); i-- > 0;)
             keep(&l->shares->acceleration, fabs(value[i]) / l->robot->joint[k].acceleration,
                  from_s + at[i] * third, (int)k);
         for (int i = 0; i < 3; i++)
             if (f[i] * f[i + 1] < 0)
                 TD_TRY(look_when(l, from_s + (i + f[i] / (f[i] - f[i + 1])) * third, unused, error));
+    }
+    return TD_OK;
+}
+
+static td_status look_along(const look *l, double rate_hz, td_error *error)
+{
+    const td_trajectory *t = l->trajectory;
+    bool seen = false;
+    for (size_t i = 0; i < t->count; i++) {
+        const bool last = i + 1 == t->count || t->time_s[i + 1] == t->time_s[i];
+        if (!seen) TD_TRY(look_at_knot(l, i, error));
+        seen = !last && rate_hz == 0;
+        if (seen)
+            TD_TRY(look_exactly(l, i, t->time_s[i], t->time_s[i + 1], error));
+        else if (!last)
+            TD_TRY(look_often(l, t->time_s[i], t->time_s[i + 1], rate_hz, error));
     }
     return TD_OK;
 }
@@ -150,13 +160,5 @@ td_status td_trajectory_check(td_trajectory_shares *shares, const td_trajectory 
         return td_fail(error, TD_ERROR_ARGUMENT,
                        "to look %g times a second at pumps of %g m^3/s: give 0 to 1e6 and more than 0",
                        rate_hz, pump_m3_s);
-    for (size_t i = 0; i < trajectory->count; i++) {
-        const double time_s = trajectory->time_s[i];
-        TD_TRY(look_at_knot(&l, i, error));
-        const double next_s = i + 1 < trajectory->count ? trajectory->time_s[i + 1] : time_s;
-        if (next_s > time_s)
-            TD_TRY(rate_hz > 0 ? look_often(&l, time_s, next_s, rate_hz, error)
-                               : look_exactly(&l, i, time_s, next_s, error));
-    }
-    return TD_OK;
+    return look_along(&l, rate_hz, error);
 }

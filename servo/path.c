@@ -55,29 +55,63 @@ void td_path_at(double *q, double *d1, double *d2, const td_path *path, size_t i
     }
 }
 
-static td_status add_joints(td_path *path, const td_polyline *line, double from, double to, int steps,
-                            td_error *error)
+static td_status add_joints(td_path *path, const td_polyline *line, double s, td_error *error)
 {
     double q[TD_ROBOT_MAX_JOINTS];
-    for (int i = path->count ? 1 : 0; i <= steps; i++) {
-        const double s = i == steps ? to : from + (to - from) * i / steps;
-        const size_t at = path->count * (size_t)path->n;
-        td_polyline_at(q, NULL, NULL, line, s);
-        TD_TRY(td_path_add(path, s, q, error));
-        td_polyline_at(NULL, path->d1 + at, path->d2 + at, line, s);
-    }
+    const size_t at = path->count * (size_t)path->n;
+    td_polyline_at(q, NULL, NULL, line, s);
+    TD_TRY(td_path_add(path, s, q, error));
+    td_polyline_at(NULL, path->d1 + at, path->d2 + at, line, s);
     return TD_OK;
 }
 
-td_status td_path_of_joints(td_path *path, const td_polyline *line, td_error *error)
+static td_status add_evenly(td_path *path, const td_polyline *line, double from, double to, int steps,
+                            td_error *error)
+{
+    for (int i = 1; i < steps; i++) TD_TRY(add_joints(path, line, from + (to - from) * i / steps, error));
+    return add_joints(path, line, to, error);
+}
+
+/* Is there a flow to limit? */
+static bool flows(const td_arm *arm, const double *d1)
+{
+    for (int i = 0; i < arm->robot->cylinder_count; i++) {
+        const td_cylinder *c = arm->robot->cylinder + i;
+        if (d1[c->joint] != 0 && (isfinite(c->flow_m3_s) || isfinite(arm->pump_m3_s))) return true;
+    }
+    return false;
+}
+
+/* One line from rest to rest on which limits are the same everywhere: the fastest motion's acceleration jumps
+ * only where s' reaches its largest, after v^2 / (2 u), and as far from the end. */
+static td_status add_plain_line(td_path *path, const td_arm *arm, const td_polyline *line, td_error *error)
+{
+    double v = INFINITY, u = INFINITY;
+    for (int k = 0; k < path->n; k++) {
+        const double part = fabs(path->d1[k]);
+        if (part > 0) v = fmin(v, arm->robot->joint[k].speed / part);
+        if (part > 0) u = fmin(u, arm->robot->joint[k].acceleration / part);
+    }
+    const double all = line->s[1], ramp = arm->options->share * v * v / (2 * u);
+    if (2 * ramp < all && ramp > 0) {
+        TD_TRY(add_joints(path, line, ramp, error));
+        TD_TRY(add_joints(path, line, all - ramp, error));
+    } else {
+        TD_TRY(add_joints(path, line, all / 2, error));
+    }
+    return add_joints(path, line, all, error);
+}
+
+td_status td_path_of_joints(td_path *path, const td_arm *arm, const td_polyline *line, td_error *error)
 {
     path->n = line->size;
+    TD_TRY(add_joints(path, line, 0, error));
+    if (line->count == 2 && !flows(arm, path->d1)) return add_plain_line(path, arm, line, error);
     for (size_t i = 0; i + 1 < line->count; i++) {
-        const double from = line->s[i] + line->half[i], to = line->s[i + 1] - line->half[i + 1];
-        if (to - from > 1e-9 * line->s[i + 1]) TD_TRY(add_joints(path, line, from, to, LINE_STEPS, error));
-        if (line->half[i + 1] > 0)
-            TD_TRY(add_joints(path, line, line->s[i + 1] - line->half[i + 1],
-                              line->s[i + 1] + line->half[i + 1], CORNER_STEPS, error));
+        const double corner = line->s[i + 1], half = line->half[i + 1], from = line->s[i] + line->half[i],
+                     to = corner - half;
+        if (to - from > 1e-9 * corner) TD_TRY(add_evenly(path, line, from, to, LINE_STEPS, error));
+        if (half > 0) TD_TRY(add_evenly(path, line, to, corner + half, CORNER_STEPS, error));
     }
     return TD_OK;
 }

@@ -335,7 +335,7 @@ static td_status plan_part(plan *p, size_t *first, td_error *error)
     if (status == TD_OK && line.count > 1) {
         round_corners(&line, p);
         status = p->arm.tool ? td_path_of_tool(&path, p->nearest, &p->arm, &line, p->q, error)
-                             : td_path_of_joints(&path, &line, error);
+                             : td_path_of_joints(&path, &p->arm, &line, error);
         if (status == TD_OK) status = time_path(p->part + p->parts, p, &path, error);
         if (status == TD_OK)
             memcpy(p->q, path.q + (path.count - 1) * (size_t)path.n, (size_t)path.n * sizeof *path.q);

@@ -18,7 +18,8 @@
  * reaches 1 where one reaches its limit. Joints without limits do not count. alpha (per m of path) is
  * negative or 0. Where the smallest singular value s of J is below s0 (a share of the largest), J+ is damped:
  * s / (s^2 + l^2), l = s0 (1 - s/s0) (as Nakamura and Hanafusa 1986, with s for their w); the tool may then
- * leave its path by as much as the options allow, which an event reports.
+ * leave its path by as much as the options allow, which an event reports, and a goal in a singularity is met
+ * to 1e-4 m and rad.
  *
  * Time. As fast as the limits allow: the parameterisation of the path by reachable sets (Pham and Pham 2018)
  * with limits of speed, acceleration, each cylinder's flow and the pumps' sum; the acceleration along the

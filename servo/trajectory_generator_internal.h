@@ -81,7 +81,7 @@ void td_path_free(td_path *path);
 td_status td_path_add(td_path *path, double s, const double *q, td_error *error);
 void td_path_at(double *q, double *d1, double *d2, const td_path *path, size_t interval, double s);
 /* Of the joints themselves. */
-td_status td_path_of_joints(td_path *path, const td_polyline *line, td_error *error);
+td_status td_path_of_joints(td_path *path, const td_arm *arm, const td_polyline *line, td_error *error);
 /* The cubic spline (C2) through the points with these q' at its ends: fills d1, d2. */
 td_status td_path_spline(td_path *path, const double *first, const double *last, td_error *error);
 /* ---- follow.c: of the tool's rows, from q, which becomes where it ends. */
