@@ -385,7 +385,10 @@ static td_status take_sample(session *x, td_error *error)
     }
     task_sample *a = r->sample + r->count++;
     double force[3];
-    *a = (task_sample){.time_s = time_of(x), .phase = x->logic.phase, .step = x->step, .state = x->state};
+    *a = (task_sample){.time_s = time_of(x),
+                       .phase = x->logic.phase,
+                       .step = x->step < x->steps ? x->step : x->steps - 1,
+                       .state = x->state};
     a->state.time_s = a->time_s;
     memcpy(a->wanted, x->wanted, sizeof a->wanted);
     memcpy(a->command, x->command.value, sizeof a->command);
@@ -564,8 +567,6 @@ static td_status begin_session(session *x, td_error *error)
     return react(x, TD_EVENT_BIT(TD_EVENT_START), error);
 }
 
-/* The first reaction of the first period comes after the session's beginning, so StartSim's order to begin is
- * obeyed there. */
 static td_status all_the_way(session *x, const td_progress *progress, td_error *error)
 {
     const size_t total = (size_t)(x->s->duration_s / x->s->period_s);

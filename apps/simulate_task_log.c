@@ -81,12 +81,23 @@ static void put(FILE *f, double value)
         fputc(',', f);
 }
 
+static void put_text(FILE *f, const char *text)
+{
+    fputc('"', f);
+    for (; *text; text++) {
+        if (*text == '"') fputc('"', f);
+        fputc((unsigned char)*text < ' ' ? ' ' : *text, f);
+    }
+    fputc('"', f);
+}
+
 static void rows_of(FILE *f, const task_run *run, const scenario *s)
 {
     const td_robot *r = s->robot;
     char text[TD_NUMBER_SIZE];
     fputs("time_s,phase,step,desired_x_m,desired_y_m,desired_z_m,desired_pitch_rad,actual_x_m,actual_y_m,"
-          "actual_z_m,actual_pitch_rad,deviation_m,base_z_m,base_roll_rad,base_pitch_rad,press_n,contact_n",
+          "actual_z_m,actual_pitch_rad,deviation_m,base_x_m,base_y_m,base_z_m,base_roll_rad,base_pitch_rad,"
+          "base_yaw_rad,press_n,contact_n",
           f);
     for (int k = 0; k < r->joint_count; k++) {
         const bool slides = r->joint[k].kind == TD_JOINT_PRISMATIC;
@@ -99,16 +110,17 @@ static void rows_of(FILE *f, const task_run *run, const scenario *s)
     for (size_t i = 0; i < run->count; i++) {
         const task_sample *a = run->sample + i;
         double rpy[3], off[3];
-        fprintf(f, "%s,%s,%d", td_number_format(text, a->time_s, 12), td_phase_text(a->phase), a->step + 1);
+        fprintf(f, "%s,", td_number_format(text, a->time_s, 12));
+        put_text(f, td_phase_text(a->phase));
+        fprintf(f, ",%d", a->step + 1);
         for (int k = 0; k < 3; k++) put(f, a->tool_wanted.t[k]);
         put(f, a->pitch_wanted_rad);
         for (int k = 0; k < 3; k++) put(f, a->tool.t[k]), off[k] = a->tool.t[k] - a->tool_wanted.t[k];
         put(f, a->pitch_rad);
         put(f, hypot(hypot(off[0], off[1]), off[2]));
         simulate_angles(rpy, &a->state.site_from_vehicle);
-        put(f, a->state.site_from_vehicle.t[2]);
-        put(f, rpy[0]);
-        put(f, rpy[1]);
+        for (int k = 0; k < 3; k++) put(f, a->state.site_from_vehicle.t[k]);
+        for (int k = 0; k < 3; k++) put(f, rpy[k]);
         put(f, a->press_n);
         put(f, a->contact_n);
         for (int k = 0; k < r->joint_count; k++) {
@@ -123,16 +135,6 @@ static void rows_of(FILE *f, const task_run *run, const scenario *s)
 }
 
 /* ---- events.csv ---- */
-
-static void put_text(FILE *f, const char *text)
-{
-    fputc('"', f);
-    for (; *text; text++) {
-        if (*text == '"') fputc('"', f);
-        fputc((unsigned char)*text < ' ' ? ' ' : *text, f);
-    }
-    fputc('"', f);
-}
 
 static void event_row(FILE *f, const scenario *s, const task_note *n)
 {
