@@ -18,7 +18,7 @@ struct live {
     td_clock clock;
     double period_s, shown_s;
     int joints;
-    bool attended, keys, raw, shown;
+    bool attended, keys, raw;
     struct termios before;
     task_input jog;
     long jog_until; /* period */
@@ -61,7 +61,7 @@ void live_end(struct live **live)
 {
     if (!live || !*live) return;
     if ((*live)->raw) tcsetattr(STDIN_FILENO, TCSANOW, &(*live)->before);
-    if ((*live)->shown) fputs("\r\033[K", stderr);
+    terminal_clear((*live)->term);
     (void)munlockall();
     free(*live);
     *live = NULL;
@@ -170,7 +170,7 @@ void live_show(struct live *l, const task_run *run, td_phase phase, int step, in
     (void)run;
     if (l->term->quiet || !l->term->is_tty || time_s < l->shown_s + 0.1) return;
     l->shown_s = time_s;
-    l->shown = true;
+    l->term->bar_shown = true; /* a message takes it away first */
     fprintf(stderr,
             "\r\033[K%8.1f s  %s, step %d of %d, missed %llu  | space pause, a abort, r reinit, s start, "
             "m manual, q stop",

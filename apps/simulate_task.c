@@ -173,7 +173,9 @@ static td_status react(session *x, uint32_t events, td_error *error)
 
 /* ---- what the joints are to do ---- */
 
-/* So fast that no joint brakes harder than half of its limit. */
+/* So fast that no joint brakes harder than most of its limit; the controller needs the rest. */
+static const double PACE_SHARE = 0.8;
+
 static double pace_rate_of(const session *x)
 {
     enum { POINTS = 100 };
@@ -182,7 +184,7 @@ static double pace_rate_of(const session *x)
     for (int i = 0; i <= POINTS; i++) {
         td_trajectory_at(NULL, dq, NULL, x->motion, length * i / POINTS);
         for (int k = 0; k < x->s->robot->joint_count; k++)
-            least = fmin(least, 0.5 * x->s->robot->joint[k].acceleration / fmax(1e-9, fabs(dq[k])));
+            least = fmin(least, PACE_SHARE * x->s->robot->joint[k].acceleration / fmax(1e-9, fabs(dq[k])));
     }
     return fmin(least, 10);
 }

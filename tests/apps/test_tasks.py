@@ -126,8 +126,8 @@ def test_paper(folder):
 
 def test_session(folder):
     '''Orders written in the scenario; abort, jog, reinit; the second run is the first again.'''
-    orders = ["1, order: Pause", "2, order: Resume", "3, order: Abort", "3.5, order: Manual",
-              "4, order: Jog, joint: boom, stick: -0.5, for_s: 1", "6, order: Automatic", "6.1, order: Reinit", "7, order: StartSim"]
+    orders = ["1, order: Pause", "5, order: Resume", "6, order: Abort", "6.5, order: Manual",
+              "7, order: Jog, joint: boom, stick: -0.5, for_s: 1", "9, order: Automatic", "9.1, order: Reinit", "10, order: StartSim"]
     scene = write(os.path.join(folder, "session.yaml"), HEAD + "duration_s: 3\nlog_s: 0.05\n" + GOAL % 2.5 +
                   "operator:\n" + "".join(f"  - {{at_s: {order}}}\n" for order in orders))
     out = os.path.join(folder, "session")
@@ -136,11 +136,11 @@ def test_session(folder):
     phases = [text for name, text in named(result, "phase")]
     for word in ("the simulation is paused", "manual: moved by the operator's hand", "simulated to the end"):
         check(word in phases, f"it was {word}")
-    held = [row for row in log if 1.8 <= row["time_s"] < 2]
+    held = [row for row in log if 4.5 <= row["time_s"] < 5]
     check(max(abs(row["swing_rad"] - held[0]["swing_rad"]) for row in held) < 1e-4, "a pause holds")
-    by_hand = [row["boom_rad"] for row in log if 4 <= row["time_s"] <= 6]
+    by_hand = [row["boom_rad"] for row in log if 7 <= row["time_s"] <= 9]
     check(-0.13 < by_hand[-1] - by_hand[0] < -0.03, f"the boom was moved by hand, {by_hand[-1] - by_hand[0]:.3f} rad")
-    check(result["time_s"] == 10 and result["steps_done"] == 1 and result["verdict"] == "accepted", "prepared anew it simulates to the end")
+    check(result["time_s"] == 13 and result["steps_done"] == 1 and result["verdict"] == "accepted", "prepared anew it simulates to the end")
     plain = simulate(write(os.path.join(folder, "plain.yaml"), HEAD + "duration_s: 3\nlog_s: 0.05\n" + GOAL % 2.5),
                      os.path.join(folder, "plain"))
     check(abs(result["steady_error_m"] - plain["steady_error_m"]) < 1e-5, "and comes to what a first run comes to")
@@ -206,7 +206,9 @@ def test_stall(folder):
     check(jobs["stop"].returncode == 3 and stop["phase"].startswith("failed") and "deadline" in stop["fault"] and
           stop["deadline_misses"] >= 1, f"stop: {stop['reasons'][0]}")
     last = log_of(outs["stop"])[-1]
-    check(all(abs(last[f"{k}_rate_rad_s"]) < 2e-3 for k in ("swing", "boom", "arm", "bucket")), "and the machine was braked")
+    # The valves are shut; the boom still swings on its oil and the suspension, by 8 mrad/s where it moved with 50.
+    check(all(abs(last[f"{k}_rate_rad_s"]) < 0.02 for k in ("swing", "boom", "arm", "bucket")) and
+          not any(value for key, value in last.items() if "_command_" in key), "and the machine was braked")
     check(jobs["catch-up"].returncode == 0 and catch["live"]["slipped_s"] == 0 and catch["deadline_misses"] >= 2 and
           catch["live"]["ticks"] == 60, f"catch-up: {catch['deadline_misses']} late ticks follow at once")
     check(jobs["slip"].returncode == 0 and 0.3 < slip["live"]["slipped_s"] and took["slip"] > 3.3,
@@ -277,17 +279,17 @@ def test_bad(folder, log):
     bad("no steps", ["task: steps"], "task: {name: t}\n")
     bad("a number that is none", ["steps[0].wait.for_s"], step("{wait: {for_s: .nan}}"))
     bad("an unknown joint", ["steps[0]", "bom"], step("{position: {joints: {bom_deg: 3}}}"))
-    bad("a goal beyond reach", ["steps[0]", "reach"], step("{position: {to: {x_m: 70, y_m: 0, z_m: 1}}}"))
+    bad("a goal beyond reach", ["steps[0]", "stretched out"], step("{position: {to: {x_m: 70, y_m: 0, z_m: 1}}}"))
     bad("attitudes that differ", ["via[0]", "attitude"],
         step("{position: {to: {x_m: 7, y_m: 0, z_m: 1}, via: [{x_m: 6, y_m: 0, z_m: 1, pitch_deg: 60}]}}"))
     bad("a drive", ["steps[0]", "drive"], step("{drive: {distance_m: 1}}"))
     bad("a motion besides", ["motion"], "motion: {kind: hold}\n" + step("{wait: {for_s: 1}}"))
     wait = step("{wait: {for_s: 1}}")
     bad("a contact of no link", ["contact.link", "spoon"], "contact: {link: spoon, plane_m: [0, 0, 0]}\n" + wait)
-    bad("an unknown order", ["operator.[0].order", "Halt", "Abort"], "operator: [{at_s: 1, order: Halt}]\n" + wait)
-    bad("orders that go back", ["operator.[1].at_s"], "operator: [{at_s: 1, order: Pause}, {at_s: 0, order: Resume}]\n" + wait)
+    bad("an unknown order", ["operator[0].order", "Halt", "Abort"], "operator: [{at_s: 1, order: Halt}]\n" + wait)
+    bad("orders that go back", ["operator[1].at_s"], "operator: [{at_s: 1, order: Pause}, {at_s: 0, order: Resume}]\n" + wait)
     bad("an unknown policy", ["live.on_miss", "slip"], "live: {on_miss: panic}\n" + wait)
-    bad("a gain that swings up", ["gain of 40"], "control: {gain_1_s: 40}\n" + wait)
+    bad("a gain that swings up", ["bad.yaml", "gain of 60"], "control: {gain_1_s: 60}\n" + wait)
     bad("a sweep", ["--sweep"], wait, "--sweep", status=2)
     bad("live and replay", ["--live", "--replay"], wait, "--live", "--replay", "x.csv", status=2)
     bad("a log that is not there", ["none.csv"], wait, "--replay", os.path.join(folder, "none.csv"))
