@@ -173,8 +173,8 @@ static td_status react(session *x, uint32_t events, td_error *error)
 
 /* ---- what the joints are to do ---- */
 
-/* So fast that no joint brakes harder than most of its limit; the controller needs the rest. */
-static const double PACE_SHARE = 0.8;
+/* So fast that no joint brakes harder than half of its limit; the path and the controller need the rest. */
+static const double PACE_SHARE = 0.5;
 
 static double pace_rate_of(const session *x)
 {

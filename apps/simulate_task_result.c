@@ -10,6 +10,8 @@ const gate_row task_gate_defaults[] = {
     {"steps_left", 0, 0, "steps that were not done when the simulation ended: it is too short for the task"},
     {"steady_share", 0.5, 1,
      "distance of the tool from where it should be at the end, over the task's tolerance of position"},
+    {"deviation_share", 1, INFINITY,
+     "largest distance of the tool from where it should be on its way, over that tolerance; pressing apart"},
     {"deadline_misses", 0, INFINITY,
      "--live: missed deadlines; where one is to stop the session (on_miss: stop), that refuses by itself"},
 };
@@ -43,7 +45,7 @@ const td_schema_row task_schema[] = {
      "the same with the suspension locked; null: there is none, or the simulation did not end"},
     {"joint_error_rad", TD_SCHEMA_REAL, true, true, "largest of the joints at the end (prismatic: m)"},
     {"deviation_max_m", TD_SCHEMA_REAL, true, false,
-     "largest distance of the tool from where it should be, on its way"},
+     "largest distance of the tool from where it should be, on its way, pressing apart"},
     {"cpu_s", TD_SCHEMA_REAL, true, false, "of one processor: planning, control, integration"},
     {"real_time_factor", TD_SCHEMA_REAL, true, true, "simulated over computing time"},
     {"deadline_misses", TD_SCHEMA_INT, true, false, "--live: how many"},
@@ -88,7 +90,8 @@ static double deviation_max(const task_run *run)
     for (size_t i = 0; i < run->count; i++) {
         double off[3];
         for (int k = 0; k < 3; k++) off[k] = run->sample[i].tool.t[k] - run->sample[i].tool_wanted.t[k];
-        if (run->sample[i].phase == TD_PHASE_SIMULATING) most = fmax(most, length(off));
+        if (run->sample[i].phase == TD_PHASE_SIMULATING && isnan(run->sample[i].press_n))
+            most = fmax(most, length(off));
     }
     return most;
 }
@@ -125,6 +128,11 @@ void task_judge(task_job *j, const gate_row *rows)
                    "the tool ends %.1f mm from where it should be (tolerance %.1f mm)", 1e3 * steady,
                    1e3 * tolerance);
     }
+    gate_check(
+        g, rows, task_gate_count, "deviation_share", deviation_max(run) / tolerance,
+        "on its way the tool was up to %.0f mm from where it should be (tolerance %.0f mm): plan slower, "
+        "by duration_s or limits",
+        1e3 * deviation_max(run), 1e3 * tolerance);
     gate_check(g, rows, task_gate_count, "deadline_misses", (double)run->live.counts.misses,
                "%llu of %llu deadlines were missed", (unsigned long long)run->live.counts.misses,
                (unsigned long long)run->live.counts.ticks);

@@ -140,7 +140,8 @@ def test_session(folder):
     check(max(abs(row["swing_rad"] - held[0]["swing_rad"]) for row in held) < 1e-4, "a pause holds")
     by_hand = [row["boom_rad"] for row in log if 7 <= row["time_s"] <= 9]
     check(-0.13 < by_hand[-1] - by_hand[0] < -0.03, f"the boom was moved by hand, {by_hand[-1] - by_hand[0]:.3f} rad")
-    check(result["time_s"] == 13 and result["steps_done"] == 1 and result["verdict"] == "accepted", "prepared anew it simulates to the end")
+    check(result["time_s"] == 13 and result["steps_done"] == 1 and result["verdict"] == "accepted",
+          f"prepared anew it simulates to the end, {result['verdict']} {result['reasons']}")
     plain = simulate(write(os.path.join(folder, "plain.yaml"), HEAD + "duration_s: 3\nlog_s: 0.05\n" + GOAL % 2.5),
                      os.path.join(folder, "plain"))
     check(abs(result["steady_error_m"] - plain["steady_error_m"]) < 1e-5, "and comes to what a first run comes to")
