@@ -15,6 +15,7 @@ static const double HELD_S = 0.3; /* a key counts as held so long: terminals rep
 
 struct live {
     terminal *term;
+    td_clock_options options;
     td_clock clock;
     double period_s, shown_s;
     int joints;
@@ -54,7 +55,13 @@ td_status live_begin(struct live **live, const scenario *s, terminal *term, td_l
     o.log = log;
     open_keys(l);
     (void)mlockall(MCL_CURRENT); /* where allowed: pages that are not there cost deadlines */
-    return td_clock_start(&l->clock, &o, error);
+    l->options = o;
+    return TD_OK;
+}
+
+td_status live_start(struct live *l, td_error *error)
+{
+    return td_clock_start(&l->clock, &l->options, error);
 }
 
 void live_end(struct live **live)

@@ -34,6 +34,7 @@ typedef struct session {
     int step, steps;
     bool step_begun, broken;
     td_trajectory *motion;
+    td_trajectory **ahead;           /* (steps) planned when the run began; NULL: not yet, or taken */
     double along_s, pace, pace_rate; /* on the motion; pace: 1 while it runs, 0 while it is held */
     size_t next_event;
     double step_s;
@@ -142,7 +143,43 @@ static td_status prepare(session *x, td_error *error)
     return TD_OK;
 }
 
-static void begin_run(session *x)
+static void forget_plans(session *x)
+{
+    td_trajectory_free(&x->motion);
+    for (int i = 0; x->ahead && i < x->steps; i++) td_trajectory_free(x->ahead + i);
+}
+
+static td_status plan(session *x, td_trajectory **planned, int step, const double *q, td_error *error)
+{
+    td_error why = {0};
+    char text[400];
+    bool unreachable = false;
+    const td_status status =
+        task_plan(planned, &unreachable, x->s, step, q, &x->state.site_from_vehicle, &why);
+    if (status == TD_OK) return TD_OK;
+    if (!unreachable) return td_fail(error, status, "%s", why.message);
+    snprintf(text, sizeof text, "step %d: %s", step + 1, why.message);
+    return report(x, TD_EVENT_UNREACHABLE, text, error);
+}
+
+/* Before anything moves, as far as can be foreseen: to the first press, after which the joints stand where
+ * the ground lets them, and in the site to the first step, for the base will stand otherwise. So a task that
+ * cannot be done fails at once, and no step's beginning costs a deadline. */
+static td_status plan_ahead(session *x, td_error *error)
+{
+    const td_task *task = x->setup->task;
+    double q[TD_ROBOT_MAX_JOINTS];
+    memcpy(q, x->wanted, sizeof q);
+    for (int i = 0; i < x->steps && task->step[i].kind != TD_TASK_PRESS; i++) {
+        if (task->step[i].kind != TD_TASK_POSITION) continue;
+        TD_TRY(plan(x, x->ahead + i, i, q, error));
+        if (!x->ahead[i] || task->frame == TD_TASK_SITE) return TD_OK;
+        td_trajectory_at(q, NULL, NULL, x->ahead[i], td_trajectory_duration(x->ahead[i]));
+    }
+    return TD_OK;
+}
+
+static td_status begin_run(session *x, td_error *error)
 {
     x->step = 0;
     x->step_begun = false;
@@ -152,7 +189,8 @@ static void begin_run(session *x)
     x->run->steps_done = 0;
     x->run->planned_s = 0;
     memcpy(x->wanted, x->state.q, sizeof x->wanted);
-    td_trajectory_free(&x->motion);
+    forget_plans(x);
+    return plan_ahead(x, error);
 }
 
 static td_status react(session *x, uint32_t events, td_error *error)
@@ -167,7 +205,7 @@ static td_status react(session *x, uint32_t events, td_error *error)
     if (x->out.close_links) x->links_open = false;
     if (x->out.open_links) x->links_open = true;
     if (x->out.read_parameters) TD_TRY(prepare(x, error));
-    if (x->out.begin) begin_run(x);
+    if (x->out.begin) TD_TRY(begin_run(x, error));
     return TD_OK;
 }
 
@@ -214,7 +252,6 @@ static td_status begin_step(session *x, td_error *error)
 {
     const td_task_step *step = x->setup->task->step + x->step;
     td_error why = {0};
-    bool unreachable = false;
     char text[300];
     x->step_begun = true;
     x->step_s = 0;
@@ -228,9 +265,10 @@ static td_status begin_step(session *x, td_error *error)
     }
     if (step->kind != TD_TASK_POSITION) return TD_OK;
     td_trajectory_free(&x->motion);
-    const td_status status = task_plan(&x->motion, &unreachable, x->s, x->step, x->wanted, &x->base, &why);
-    if (status != TD_OK && !unreachable) return td_fail(error, status, "%s", why.message);
-    if (status != TD_OK) return report(x, TD_EVENT_UNREACHABLE, why.message, error);
+    x->motion = x->ahead[x->step];
+    x->ahead[x->step] = NULL;
+    if (!x->motion) TD_TRY(plan(x, &x->motion, x->step, x->wanted, error));
+    if (!x->motion) return TD_OK;
     x->along_s = x->pace = 0;
     x->pace = 1;
     x->next_event = 0;
@@ -563,6 +601,8 @@ static td_status begin_session(session *x, td_error *error)
     x->tool_link = td_task_tool_link(x->setup->task, x->s->robot);
     x->link_from_tool = task_tool(x->s->robot, x->setup->task);
     x->command.kind = TD_COMMAND_FLOW;
+    x->ahead = calloc((size_t)x->steps, sizeof *x->ahead);
+    if (!x->ahead) return td_fail(error, TD_ERROR_MEMORY, "no memory for a task");
     td_behaviour_begin(&x->logic, &o);
     TD_TRY(react(x, TD_EVENT_BIT(TD_EVENT_PREPARE), error));
     TD_TRY(react(x, 0, error));
@@ -597,6 +637,7 @@ td_status task_run_session(task_run *run, const scenario *s, td_machine_base bas
     if (status == TD_OK) status = begin_control(x, error);
     if (status == TD_OK) status = begin_session(x, error);
     const double begun = cpu_now();
+    if (status == TD_OK && live) status = live_start(live, error);
     if (status == TD_OK) status = all_the_way(x, progress, error);
     run->cpu_s = cpu_now() - begun;
     run->time_s = time_of(x);
@@ -604,7 +645,8 @@ td_status task_run_session(task_run *run, const scenario *s, td_machine_base bas
     run->phase = x->logic.phase;
     if (x->machine) run->counters = td_machine_count(x->machine);
     if (live) run->live = (task_live){true, live_counts(live), s->period_s};
-    td_trajectory_free(&x->motion);
+    forget_plans(x);
+    free(x->ahead);
     td_dynamics_free(&x->dynamics);
     td_machine_free(&x->machine);
     free(x);

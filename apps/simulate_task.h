@@ -137,6 +137,8 @@ td_event task_event_named(const char *name);
 /* In real time. */
 td_status live_begin(struct live **live, const scenario *s, terminal *term, td_log log, td_error *error);
 void live_end(struct live **live);
+/* The first tick is a period from now. */
+td_status live_start(struct live *live, td_error *error);
 /* What keys ask for now. */
 td_status live_inputs(struct live *live, task_inputs *inputs, long period, td_phase phase, td_error *error);
 /* Until the next tick. *missed: its deadline was. */
