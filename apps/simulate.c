@@ -1,4 +1,4 @@
-/* teledimos simulate: a machine moved by given commands, or left alone. */
+/* teledimos simulate: a machine moved by given commands, left alone, or doing a task. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -56,13 +56,16 @@ static cli_option options[] = {
     {.type = CLI_HEADING, .name = "The quality gate"},
     {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
     {CLI_FLAG, "accept", 0, &accept, NULL, "end with status 0 even when the gate refuses", 0, 0, NULL},
-    CLI_COMMON_OPTIONS(common, "folder for the products: log.csv, result.yaml, report.html, log.jsonl",
-                       "--identify: the search of a motion"),
+    CLI_COMMON_OPTIONS(
+        common,
+        "folder for the products: log.csv (a task: trajectory.csv, events.csv, recording.mcap), result.yaml, "
+        "report.html, log.jsonl",
+        "--identify: the search of a motion"),
 };
 
 static cli_command command = {
     .name = "simulate",
-    .summary = "a machine moved by given commands: motion, forces, pressures, sag",
+    .summary = "a machine moved by given commands, or doing a task: motion, forces, sag",
     .usage = "SCENARIO -o DIR [options]",
     .text =
         "Integrates the equations of a machine on its suspension, its joints driven by hydraulic cylinders "
@@ -83,7 +86,9 @@ static cli_command command = {
         "session "
         "is led by orders as the panel's (operator: in the scenario, or --live keys), and leaves "
         "trajectory.csv, events.csv and recording.mcap (Foxglove). A machine on its suspension is simulated "
-        "once more with the suspension locked, to tell what of the tool's error is due to it.\n\n"
+        "once more with the suspension locked, to tell what of the tool's error is due to it. On a busy "
+        "machine "
+        "--live keeps its ticks with real-time priority (chrt -f 10 teledimos simulate …).\n\n"
         "--identify estimates, from a log with columns as log.csv has them (positions and forces; rates and "
         "the "
         "base's pose where they are measured), the sums of masses, centres and inertias that the joints' "

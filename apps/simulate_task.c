@@ -269,7 +269,7 @@ static td_status begin_step(session *x, td_error *error)
     x->ahead[x->step] = NULL;
     if (!x->motion) TD_TRY(plan(x, &x->motion, x->step, x->wanted, error));
     if (!x->motion) return TD_OK;
-    x->along_s = x->pace = 0;
+    x->along_s = 0;
     x->pace = 1;
     x->next_event = 0;
     x->pace_rate = pace_rate_of(x);
@@ -599,7 +599,7 @@ static td_status begin_session(session *x, td_error *error)
     x->steps = x->setup->task->step_count;
     x->step = -1;
     x->tool_link = td_task_tool_link(x->setup->task, x->s->robot);
-    x->link_from_tool = task_tool(x->s->robot, x->setup->task);
+    x->link_from_tool = task_tool(x->setup->task);
     x->command.kind = TD_COMMAND_FLOW;
     x->ahead = calloc((size_t)x->steps, sizeof *x->ahead);
     if (!x->ahead) return td_fail(error, TD_ERROR_MEMORY, "no memory for a task");

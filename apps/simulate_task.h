@@ -104,7 +104,7 @@ td_status task_run_session(task_run *run, const scenario *s, td_machine_base bas
  * operator's concern, not a fault of the program. */
 td_status task_plan(td_trajectory **planned, bool *unreachable, const scenario *s, int step, const double *q,
                     const td_pose *base, td_error *error);
-td_pose task_tool(const td_robot *robot, const td_task *task); /* link_from_tool */
+td_pose task_tool(const td_task *task); /* link_from_tool */
 double task_pitch(const td_pose *site_from_tool);
 
 typedef struct task_job {

@@ -14,14 +14,13 @@ static const double PLAN_SHARE = 0.8;
 #define RADIANS 0.017453292519943295
 
 /* The shortest turn that takes x to the axis. */
-td_pose task_tool(const td_robot *robot, const td_task *task)
+td_pose task_tool(const td_task *task)
 {
     const double *a = task->tool.axis;
     const double across = hypot(a[1], a[2]), angle = atan2(across, a[0]);
     double turn[3] = {0, across > 1e-12 ? -a[2] / across * angle : angle,
                       across > 1e-12 ? a[1] / across * angle : 0};
     td_pose p = td_pose_identity();
-    (void)robot;
     td_rotation_exp(p.q, turn);
     memcpy(p.t, task->tool.point_m, sizeof p.t);
     return p;
@@ -80,7 +79,7 @@ static void via_of(td_via *via, const td_task *task, const td_task_point *p, con
 
 static td_tool tool_of(const td_robot *robot, const td_task *task, td_task_attitude attitude)
 {
-    td_tool t = {.link = td_task_tool_link(task, robot), .link_from_tool = task_tool(robot, task)};
+    td_tool t = {.link = td_task_tool_link(task, robot), .link_from_tool = task_tool(task)};
     for (int i = 0; i < 3; i++) t.row[t.row_count++] = (td_tool_row)(TD_TOOL_X + i);
     if (attitude == TD_TASK_PITCH) t.row[t.row_count++] = TD_TOOL_PITCH;
     if (attitude == TD_TASK_WHOLE)

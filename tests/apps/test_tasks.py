@@ -169,6 +169,20 @@ def test_press(folder):
     check(result["phase"].startswith("failed") and "most_travel_m" in result["reasons"][0], f"no ground: {result['reasons'][0]}")
 
 
+def test_site(folder):
+    '''A goal in the site, the machine turned and shifted in it: the plan ends there, attitude and all.'''
+    text = HEAD.replace("bucket: 0.6}}", "bucket: 0.6}, base: {q: [0.7071067811865476, 0, 0, 0.7071067811865476], t_m: [3, 2, 1]}}")
+    scene = write(os.path.join(folder, "site.yaml"), text + "duration_s: 14\ntask: {name: t, frame: site, limits: {speed_m_s: 0.4}, steps: "
+                  "[{position: {to: {x_m: 2, y_m: 9.5, z_m: 2.5, pitch_deg: 70}}}]}\n")
+    out = os.path.join(folder, "site")
+    simulate(scene, out)
+    log = log_of(out)
+    ends = [log[-1][f"desired_{k}"] for k in ("x_m", "y_m", "z_m", "pitch_rad")]
+    check(numpy.allclose(ends, [2, 9.5, 2.5, math.radians(70)], atol=1e-6), "a goal in the site is where it is asked")
+    speed = max(math.dist(*([row[f"desired_{k}_m"] for k in "xyz"] for row in pair)) / 0.05 for pair in zip(log, log[1:]))
+    check(0.3 < speed < 0.4 * 1.01, f"and the tool keeps its limit, {speed:.3f} of 0.4 m/s")
+
+
 def test_unreachable(folder):
     scene = write(os.path.join(folder, "far.yaml"), HEAD + "duration_s: 3\n" + GOAL.replace("7.5", "9.9").replace("y_m: 1.0", "y_m: 2.5") % 2)
     result = simulate(scene, os.path.join(folder, "far"), status=3)
@@ -317,6 +331,7 @@ with tempfile.TemporaryDirectory() as place:
     made = test_paper(place)
     test_session(place)
     test_press(place)
+    test_site(place)
     test_unreachable(place)
     test_stall(place)
     test_fast(place)
