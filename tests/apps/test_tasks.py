@@ -2,7 +2,7 @@
 quintic written out), the tool's places from its joints (against kinematics written here from the URDF's figures, to the
 log's ten digits), the error that stays is the suspension's: locked it is less than 1 % of itself, and with a gain too small
 it is not. The same bytes again, from --replay of either log, and of a live session led by keys through a terminal. A stall
-(SIGSTOP) triggers each policy. Orders, press, unreachable goals; bad tasks and logs are named.
+(SIGSTOP) triggers each policy. Orders, press, singular and unreachable goals; bad tasks and logs are named.
 
 Blind to: how like a real machine it moves; jitter on a machine of its own (the bounds here allow for a busy one)."""
 
@@ -183,6 +183,15 @@ def test_site(folder):
     check(0.3 < speed < 0.4 * 1.01, f"and the tool keeps its limit, {speed:.3f} of 0.4 m/s")
 
 
+def test_singular(folder):
+    '''To a point 54 mm beside the swing's axis, where the tool can hardly move across.'''
+    text = HEAD.replace("boom: -0.5, arm: 1.6, bucket: 0.6", "boom: 0.7, arm: 2.3, bucket: 0.2") + "duration_s: 12\non_singularity: %s\n" \
+        "task: {name: t, steps: [{position: {to: {x_m: 0.108, y_m: 0.02, z_m: -1.7}}}]}\n"
+    for policy, status, phase in (("cross", 0, "simulated to the end"), ("fail", 3, "failed: waiting for Reinit")):
+        result = simulate(write(os.path.join(folder, "s.yaml"), text % policy), os.path.join(folder, "singular-" + policy), status=status)
+        check(result["phase"] == phase and "singularity" in dict(named(result, "report")), f"on_singularity {policy}: {result['phase']}")
+
+
 def test_unreachable(folder):
     scene = write(os.path.join(folder, "far.yaml"), HEAD + "duration_s: 3\n" + GOAL.replace("7.5", "9.9").replace("y_m: 1.0", "y_m: 2.5") % 2)
     result = simulate(scene, os.path.join(folder, "far"), status=3)
@@ -332,6 +341,7 @@ with tempfile.TemporaryDirectory() as place:
     test_session(place)
     test_press(place)
     test_site(place)
+    test_singular(place)
     test_unreachable(place)
     test_stall(place)
     test_fast(place)
