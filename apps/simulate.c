@@ -1,16 +1,16 @@
-/* teledimos simulate: a machine moved by given commands, or left alone. */
+/* teledimos simulate: a machine moved by given commands, left alone, or doing a task. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "apps/simulate_internal.h"
+#include "apps/simulate_task.h"
 #include "core/file.h"
 
-static const char *scenario_path, *method, *compile_folder, *identify_path;
+static const char *scenario_path, *method, *compile_folder, *identify_path, *replay_path, *on_miss;
 static cli_common common;
 static cli_list gates;
-static bool accept, sweeping, no_coriolis;
+static bool accept, sweeping, no_coriolis, live_wanted;
 static double duration_s = 0, oil_n_m = 0, relative = 0, period_s = 0, gain_1_s = 0;
 
 static const char *const methods[] = {"auto", "adams", "bdf", NULL};
@@ -31,6 +31,19 @@ static cli_option options[] = {
      "next "
      "run. Without: the zx200's are built in, another's are evaluated link by link, which is slower",
      0, 0, NULL},
+    {.type = CLI_HEADING, .name = "Tasks"},
+    {CLI_FLAG, "live", 0, &live_wanted, NULL,
+     "in real time, led by keys: space pause and resume, a abort, r reinit, s start, q stop, m manual and "
+     "back; "
+     "in manual the arrows move joints 1 and 2, u and j joint 3, i and k joint 4",
+     0, 0, NULL},
+    {CLI_STRING, "replay", 0, &replay_path, "LOG",
+     "the orders and missed deadlines of an earlier session (its events.csv or recording.mcap): the same "
+     "bytes",
+     0, 0, NULL},
+    {CLI_STRING, "on-miss", 0, &on_miss, "POLICY",
+     "what a missed deadline does: stop, catch-up (late ticks follow at once) or slip (time falls behind)", 0,
+     0, task_miss_names},
     {.type = CLI_HEADING, .name = "In place of what the scenario says"},
     {CLI_REAL, "duration", 0, &duration_s, "S",
      "simulated time; a table, a step and a hold go on as they end", 1e-3, 1e5, NULL},
@@ -43,13 +56,16 @@ static cli_option options[] = {
     {.type = CLI_HEADING, .name = "The quality gate"},
     {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
     {CLI_FLAG, "accept", 0, &accept, NULL, "end with status 0 even when the gate refuses", 0, 0, NULL},
-    CLI_COMMON_OPTIONS(common, "folder for the products: log.csv, result.yaml, report.html, log.jsonl",
-                       "--identify: the search of a motion"),
+    CLI_COMMON_OPTIONS(
+        common,
+        "folder for the products: log.csv (a task: trajectory.csv, events.csv, recording.mcap), result.yaml, "
+        "report.html, log.jsonl",
+        "--identify: the search of a motion"),
 };
 
 static cli_command command = {
     .name = "simulate",
-    .summary = "a machine moved by given commands: motion, forces, pressures, sag",
+    .summary = "a machine moved by given commands, or doing a task: motion, forces, sag",
     .usage = "SCENARIO -o DIR [options]",
     .text =
         "Integrates the equations of a machine on its suspension, its joints driven by hydraulic cylinders "
@@ -62,6 +78,17 @@ static cli_command command = {
         "with machine: {hydraulics: false} the joints turn freely. control: {gain_1_s, period_s} closes a "
         "loop "
         "of positions around a motion of rates.\n\n"
+        "A task (task: file.yaml, or written in place, instead of motion) is done step by step: each "
+        "position "
+        "step planned with its law, duration and via points within every limit, followed at the control "
+        "period "
+        "by joints commanded with flows; press steps against the scenario's contact plane; waits. The "
+        "session "
+        "is led by orders as the panel's (operator: in the scenario, or --live keys), and leaves "
+        "trajectory.csv, events.csv and recording.mcap (Foxglove). A machine on its suspension is simulated "
+        "once more with the suspension locked, to tell what of the tool's error is due to it. On a busy "
+        "machine "
+        "--live keeps its ticks with real-time priority (chrt -f 10 teledimos simulate …).\n\n"
         "--identify estimates, from a log with columns as log.csv has them (positions and forces; rates and "
         "the "
         "base's pose where they are measured), the sums of masses, centres and inertias that the joints' "
@@ -69,6 +96,9 @@ static cli_command command = {
         "show, and frictions, each with its sigma, and names what the motion does not tell.\n\n"
         "Exit status: 0 done, 1 failed, 2 wrong usage, 3 the gate refuses the result (--accept).",
     .examples = "  teledimos simulate datasets/zx200-motion -o motion\n"
+                "  teledimos simulate datasets/zx200/paper.yaml -o paper\n"
+                "  teledimos simulate datasets/zx200/paper.yaml -o live --live\n"
+                "  teledimos simulate datasets/zx200/paper.yaml -o again --replay live/events.csv\n"
                 "  teledimos simulate datasets/zx200-motion -o sweeps --sweep\n"
                 "  teledimos simulate datasets/zx200-motion -o identified --identify motion/log.csv\n",
     .option = options,
@@ -93,8 +123,14 @@ static const char *gate_help(void)
 /* Of --identify, whose gate follows that of a simulation in the help. */
 static const char *whole_gate_help(void)
 {
-    static char text[3200];
-    snprintf(text, sizeof text, "%s\nof --identify:", gate_help());
+    static char text[4800];
+    snprintf(text, sizeof text, "%s\nof a task:", gate_help());
+    for (size_t i = 0; i < task_gate_count; i++) {
+        const gate_row *g = &task_gate_defaults[i];
+        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
+                 g->refuse, g->warn, g->why);
+    }
+    snprintf(text + strlen(text), sizeof text - strlen(text), "\nof --identify:");
     for (size_t i = 0; i < identify_gate_count; i++) {
         const gate_row *g = &identify_gate_defaults[i];
         snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
@@ -123,7 +159,13 @@ static td_status override(scenario *s, td_error *error)
     if (relative > 0) s->options.integrator.relative = relative;
     if (oil_n_m > 0) s->options.oil_n_m = oil_n_m;
     if ((period_s > 0 || gain_1_s > 0) && !(s->period_s > 0)) s->period_s = 0.05, s->gain_1_s = 3;
+    if (period_s > 0 && s->task)
+        for (size_t i = 0; i < s->task->orders.count; i++)
+            s->task->orders.item[i].period =
+                lround((double)s->task->orders.item[i].period * s->period_s / period_s);
     if (period_s > 0) s->period_s = period_s;
+    for (int i = 0; on_miss && s->task && task_miss_names[i]; i++)
+        if (strcmp(on_miss, task_miss_names[i]) == 0) s->task->miss = (td_miss_policy)i;
     if (gain_1_s > 0) s->gain_1_s = gain_1_s;
     if (no_coriolis) s->options.coriolis = false;
     s->compile_folder = compile_folder;
@@ -151,14 +193,76 @@ static td_status simulate(simulate_job *s, job *j)
     return status;
 }
 
+/* ---- a task ---- */
+
+/* What goes with what. */
+static td_status check_task_options(const scenario *s, td_error *error)
+{
+    if (s->task && sweeping)
+        return td_fail(error, TD_ERROR_ARGUMENT, "--sweep goes with a motion; %s has a task", s->path);
+    if (s->task && live_wanted && replay_path)
+        return td_fail(error, TD_ERROR_ARGUMENT, "--live and --replay: one of them");
+    if (!s->task && (live_wanted || replay_path || on_miss))
+        return td_fail(error, TD_ERROR_ARGUMENT,
+                       "--live, --replay, --on-miss go with a task; %s has a motion", s->path);
+    return TD_OK;
+}
+
+static td_status simulate_task(task_job *t, job *j)
+{
+    const scenario *s = t->scenario;
+    task_inputs replayed = {0};
+    struct live *live = NULL;
+    td_status status = TD_OK;
+    if (replay_path) status = task_replay_read(&replayed, replay_path, s, &j->error);
+    if (status == TD_OK && live_wanted) status = live_begin(&live, s, &j->term, j->log, &j->error);
+    if (status == TD_OK)
+        status = task_run_session(&t->run, s, s->options.base, replay_path ? &replayed : NULL, live,
+                                  &j->progress, &j->error);
+    live_end(&live);
+    free(replayed.item);
+    if (status != TD_OK || s->options.base != TD_MACHINE_SUSPENDED || !t->run.simulated) return status;
+    t->has_locked = true;
+    return task_run_session(&t->locked, s, TD_MACHINE_FIXED, &t->run.input, NULL, &j->progress, &j->error);
+}
+
+static td_status run_task(simulate_job *s, job *j)
+{
+    gate_row rows[8];
+    task_job t = {.scenario = &s->scenario};
+    memcpy(rows, task_gate_defaults, task_gate_count * sizeof *rows);
+    for (size_t i = 0; i < gates.count; i++)
+        TD_TRY(gate_set(rows, task_gate_count, gates.value[i], &j->error));
+    td_status status = simulate_task(&t, j);
+    if (status == TD_ERROR_ARGUMENT) status = TD_ERROR_DATA;
+    if (status == TD_ERROR_DATA && !replay_path) td_error_prefix(&j->error, status, "%s", s->scenario.path);
+    if (status == TD_OK) {
+        task_judge(&t, rows);
+        s->gate = t.gate;
+        if (terminal_interrupted()) status = td_fail(&j->error, TD_ERROR_CANCELLED, "interrupted");
+    }
+    if (status == TD_OK) status = task_write(&t.run, &s->scenario, common.output, &j->error);
+    const job_output output = {task_report, task_table, &t};
+    j->schema = task_schema;
+    j->schema_count = task_schema_count;
+    if (status == TD_OK) status = job_finish(j, task_result(&t), &output);
+    task_run_free(&t.run);
+    task_run_free(&t.locked);
+    return status;
+}
+
+/* ---- a motion ---- */
+
 static td_status run(simulate_job *s, job *j)
 {
+    TD_TRY(scenario_read(&s->scenario, scenario_path, &j->error));
+    TD_TRY(check_task_options(&s->scenario, &j->error));
+    TD_TRY(override(&s->scenario, &j->error));
+    if (s->scenario.task) return run_task(s, j);
     gate_row rows[8];
     memcpy(rows, simulate_gate_defaults, simulate_gate_count * sizeof *rows);
     for (size_t i = 0; i < gates.count; i++)
         TD_TRY(gate_set(rows, simulate_gate_count, gates.value[i], &j->error));
-    TD_TRY(scenario_read(&s->scenario, scenario_path, &j->error));
-    TD_TRY(override(&s->scenario, &j->error));
     TD_TRY(simulate(s, j));
     s->has_sweep = sweeping;
     simulate_judge(s, rows);
@@ -189,6 +293,20 @@ static td_status identify(identify_job *i, simulate_job *s, job *j)
     return job_finish(j, identify_result(i), &output);
 }
 
+/* Of --schema with a scenario that has a task. */
+static bool has_task(int argc, char **argv)
+{
+    bool found = false;
+    for (int i = 1; i < argc; i++) {
+        char *text = NULL;
+        size_t size = 0;
+        if (argv[i][0] == '-' || td_file_read(&text, &size, argv[i], 1 << 20, NULL) != TD_OK) continue;
+        found = found || strncmp(text, "task:", 5) == 0 || strstr(text, "\ntask:");
+        free(text);
+    }
+    return found;
+}
+
 /* The schema is chosen before the command line is parsed, for --schema. */
 static bool identifies(int argc, char **argv)
 {
@@ -204,8 +322,12 @@ int main(int argc, char **argv)
     const bool identifying = identifies(argc, argv);
     for (size_t i = 0; i < command.option_count; i++)
         if (options[i].target == &gates) options[i].help = whole_gate_help();
-    int code = job_begin(&j, &command, &common, identifying ? identify_schema : simulate_schema,
-                         identifying ? identify_schema_count : simulate_schema_count, true, argc, argv);
+    const bool tasking = !identifying && has_task(argc, argv);
+    const td_schema_row *schema = identifying ? identify_schema : tasking ? task_schema : simulate_schema;
+    const size_t schema_count = identifying ? identify_schema_count
+                                : tasking   ? task_schema_count
+                                            : simulate_schema_count;
+    int code = job_begin(&j, &command, &common, schema, schema_count, true, argc, argv);
     if (code >= 0) return code;
     simulate_job *s = calloc(1, sizeof *s);
     td_status status;

@@ -27,6 +27,7 @@ typedef struct scenario {
     motion motion;
     const char *compile_folder; /* for the robot's generated dynamics; NULL: evaluated, not compiled */
     double gain_1_s, period_s;  /* of the controller of positions; period 0: none, commands go straight in */
+    struct task_setup *task;    /* in place of a motion; NULL: none */
 } scenario;
 
 /* A row of the log. */

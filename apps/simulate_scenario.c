@@ -16,17 +16,18 @@
  *           {kind: step, command: flow, joints: {boom: -1e-3}, at_s: 0.5}
  *           {kind: sine, joints: {bucket: 0.3}, frequency_hz: 0.5}
  *           {kind: table, command: flow, file: commands.csv}    (time_s, boom_m3_s, swing_rad_s …)
- *   control: {gain_1_s: 3, period_s: 0.05}        (positions controlled around a motion of rates)
- *   machine: {base: suspended, coriolis: true, hydraulics: true, oil_n_m: 1e8, oil_s: 0.01, valve_s: 0.05,
- *             pump_m3_s: 7.07e-3, suspension_damping: 1, friction: 1}   (the last two: factors)
- *   integrator: {method: auto, relative: 1e-4, max_step_s: 0} */
+ *   task: dig.yaml                                (in place of the motion; more in simulate_task_read.c)
+ *   control: {gain_1_s: 3, period_s: 0.05}        (positions controlled around a motion of rates, or of a
+ * task) machine: {base: suspended, coriolis: true, hydraulics: true, oil_n_m: 1e8, oil_s: 0.01, valve_s:
+ * 0.05, pump_m3_s: 7.07e-3, suspension_damping: 1, friction: 1}   (the last two: factors) integrator:
+ * {method: auto, relative: 1e-4, max_step_s: 0} */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 
-#include "apps/simulate_internal.h"
+#include "apps/simulate_task.h"
 #include "core/document.h"
 #include "core/file.h"
 
@@ -37,6 +38,7 @@ void scenario_free(scenario *s)
 {
     td_robot_free(&s->robot);
     motion_free(&s->motion);
+    task_setup_free(&s->task);
 }
 
 static td_status real(double *value, const td_field *parent, const char *key, double low, double high,
@@ -175,13 +177,17 @@ static td_status read_all(scenario *s, const td_field *root, const char *folder,
     static const char *const keys[] = {
         "teledimos",    "name",    "about",      "robot",   "start",      "motion", "log_s",
         "gravity_m_s2", "machine", "integrator", "control", "duration_s", NULL};
+    static const char *const task_keys[] = {
+        "teledimos",  "name",     "about",          "robot",     "start",      "task",
+        "log_s",      "contact",  "gravity_m_s2",   "machine",   "integrator", "control",
+        "duration_s", "operator", "on_singularity", "generator", "live",       NULL};
     const td_field version = td_field_get(root, "teledimos"), name_field = td_field_get(root, "name"),
-                   motion_field = td_field_get(root, "motion");
+                   motion_field = td_field_get(root, "motion"), task_field = td_field_get(root, "task");
     const char *text = NULL;
     TD_TRY(td_field_string(&text, &version, error));
     if (strcmp(text, "scenario 1") != 0)
         return td_field_fail(&version, error, "'%s' is not 'scenario 1'", text);
-    TD_TRY(td_field_check_keys(root, keys, error));
+    TD_TRY(td_field_check_keys(root, task_field.value ? task_keys : keys, error));
     TD_TRY(td_field_string(&text, &name_field, error));
     snprintf(s->name, sizeof s->name, "%s", text);
     TD_TRY(read_robot(s, root, folder, error));
@@ -191,6 +197,12 @@ static td_status read_all(scenario *s, const td_field *root, const char *folder,
     TD_TRY(read_machine(s, root, error));
     TD_TRY(read_integrator(s, root, error));
     TD_TRY(read_times(s, root, error));
+    if (task_field.value) {
+        TD_TRY(motion_none(&s->motion, s->robot, error));
+        s->gain_1_s = 3, s->period_s = 0.05;
+        TD_TRY(read_control(s, root, error));
+        return task_setup_read(&s->task, s, root, folder, error);
+    }
     if (motion_field.value) {
         TD_TRY(motion_read(&s->motion, &motion_field, s->robot, s->duration_s, folder, error));
     } else {

@@ -156,5 +156,6 @@ int main(int argc, char **argv)
     bench_world(&b);
     bench_soil(&b);
     bench_trajectory(&b);
+    bench_clock(&b);
     return 0;
 }

@@ -1,0 +1,151 @@
+/* teledimos simulate, tasks: between its files. A session plans a task step by step, runs it at the control
+ * period through the joints' controller, and asks the behaviour (sim/behaviour.h) each period what to do.
+ *
+ * Nothing of what a session does depends on anything but the scenario and its inputs: orders of the operator
+ * and missed deadlines, each kept with the number of the period that it was handed in. So a log replays. */
+#ifndef TELEDIMOS_APPS_SIMULATE_TASK_H
+#define TELEDIMOS_APPS_SIMULATE_TASK_H
+
+#include "apps/simulate_internal.h"
+#include "core/task.h"
+#include "core/trajectory.h"
+#include "sim/behaviour.h"
+#include "sim/clock.h"
+
+/* An order of the operator, or a report that comes from outside the simulation (a missed deadline). */
+typedef struct task_input {
+    long period;
+    td_event event;
+    int joint;    /* Jog */
+    double stick; /* Jog: -1 to 1 of the joint's speed */
+} task_input;
+
+typedef struct task_inputs {
+    size_t count, room;
+    task_input *item; /* by period */
+    long end;         /* the last period; -1: where the session ends by itself */
+} task_inputs;
+td_status inputs_add(task_inputs *inputs, const task_input *input, td_error *error);
+
+/* What a scenario says of its task. */
+typedef struct task_setup {
+    td_task *task;
+    char path[1100];
+    bool has_contact;
+    td_machine_contact contact;
+    double alpha, power; /* of the generator of trajectories */
+    td_singularity_policy singularity;
+    td_miss_policy miss;
+    double tolerance_s; /* of a deadline */
+    task_inputs orders; /* the operator's, written in the scenario */
+} task_setup;
+/* Its fields of the scenario's document (contact, generator, live, operator), after all the others. */
+td_status task_setup_read(task_setup **setup, const scenario *s, const struct td_field *root,
+                          const char *folder, td_error *error);
+void task_setup_free(task_setup **setup);
+extern const char *const task_miss_names[];
+
+/* What happened, in words. */
+typedef enum note_kind { NOTE_ORDER, NOTE_REPORT, NOTE_MESSAGE, NOTE_PHASE, NOTE_FAULT, NOTE_STEP } note_kind;
+typedef struct task_note {
+    long period;
+    double time_s;
+    note_kind kind;
+    const char *name;
+    int joint;
+    double stick;
+    char text[400];
+} task_note;
+
+/* A row of the log. */
+typedef struct task_sample {
+    double time_s;
+    td_phase phase;
+    int step; /* from 0; -1: none yet */
+    td_plant_state state;
+    double wanted[TD_ROBOT_MAX_JOINTS], command[TD_ROBOT_MAX_JOINTS];
+    td_pose tool_wanted, tool; /* site_from_tool; wanted: with the base as it stood at the step's begin */
+    double pitch_wanted_rad, pitch_rad; /* of the tool's axis below the level plane */
+    double press_n;                     /* as the cylinders tell it, while pressing; else NaN */
+    double contact_n;                   /* of the plane on the tool */
+} task_sample;
+
+typedef struct task_live {
+    bool used;
+    td_clock_counts counts;
+    double period_s;
+} task_live;
+
+typedef struct task_run {
+    size_t count, room, note_count, note_room;
+    task_sample *sample; /* (count) */
+    task_note *note;     /* (note_count), by period */
+    task_inputs input;   /* as handed in */
+    td_integrator_counters counters;
+    double time_s, cpu_s;
+    double planned_s; /* of the motions planned */
+    td_phase phase;   /* at the end */
+    td_fault fault;
+    bool simulated; /* to the end, at least once; the samples are of it */
+    int steps_done;
+    double steady[3]; /* actual less wanted place of the tool when the simulation ended, m, in the site */
+    double joint_off; /* the same of the joint that is furthest off, rad or m */
+    task_live live;
+} task_run;
+void task_run_free(task_run *run);
+
+/* In real time: keys and clock. NULL: as fast as it goes. */
+struct live;
+/* Runs the scenario with these inputs (NULL: those of the scenario); `base` in place of the scenario's. */
+td_status task_run_session(task_run *run, const scenario *s, td_machine_base base, const task_inputs *inputs,
+                           struct live *live, const td_progress *progress, td_error *error);
+
+/* One step's motion, from q. `base`: site_from_vehicle. *unreachable: the sentence in `error` is the
+ * operator's concern, not a fault of the program. */
+td_status task_plan(td_trajectory **planned, bool *unreachable, const scenario *s, int step, const double *q,
+                    const td_pose *base, td_error *error);
+td_pose task_tool(const td_task *task); /* link_from_tool */
+double task_pitch(const td_pose *site_from_tool);
+
+typedef struct task_job {
+    scenario *scenario;
+    task_run run, locked;
+    bool has_locked;
+    gate_result gate;
+} task_job;
+extern const td_schema_row task_schema[];
+extern const size_t task_schema_count;
+extern const gate_row task_gate_defaults[];
+extern const size_t task_gate_count;
+void task_judge(task_job *j, const gate_row *rows);
+double task_steady(const task_run *run); /* m; NaN: the simulation did not end */
+json_t *task_result(const task_job *j);
+void task_table(const void *done);
+td_status task_report(const void *done, const char *path, td_error *error);
+
+/* What decides the motion: files and options; SHA-256. */
+td_status task_identity(char hex[TD_HASH_HEX_SIZE], const scenario *s, td_error *error);
+/* trajectory.csv, events.csv, recording.mcap. */
+td_status task_write(const task_run *run, const scenario *s, const char *folder, td_error *error);
+/* Inputs from events.csv or recording.mcap. */
+td_status task_replay_read(task_inputs *inputs, const char *path, const scenario *s, td_error *error);
+/* "order", "report" … */
+const char *note_kind_name(note_kind kind);
+/* The event of that text (td_event_text); TD_EVENT_COUNT: none. */
+td_event task_event_named(const char *name);
+
+/* In real time. */
+td_status live_begin(struct live **live, const scenario *s, terminal *term, td_log log, td_error *error);
+void live_end(struct live **live);
+/* The first tick is a period from now. */
+td_status live_start(struct live *live, td_error *error);
+/* What keys ask for now. */
+td_status live_inputs(struct live *live, task_inputs *inputs, long period, td_phase phase, td_error *error);
+/* Until the next tick. *missed: its deadline was. */
+td_status live_wait(struct live *live, bool *missed, td_error *error);
+/* Whether an operator is there, who ends the session. */
+bool live_attended(const struct live *live);
+void live_show(struct live *live, const task_run *run, td_phase phase, int step, int steps, double time_s);
+td_clock_counts live_counts(const struct live *live);
+
+#endif
