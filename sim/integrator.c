@@ -2,14 +2,10 @@
  * twentieth after a start or a switch on, what step could either method take?
  *
  *   by accuracy    r = 1 / (1.2 d^(1/(q+1)) + 1.2e-6),   d the local error over its tolerance at order q; the
- *                  other method's d is that times the ratio of the error constants
- *   by stability   r = s_q / (L |h|) for Adams: s_q the reach of its stability region, L a Lipschitz constant
+ * other method's d is that times the ratio of the error constants by stability   r = s_q / (L |h|) for Adams:
+ * s_q the reach of its stability region, L a Lipschitz constant
  *
- * LSODA leaves Adams where BDF's step would be five times its own and returns where Adams' would be no
- * smaller: its BDF asks for two rates a step and more. Here Newton's matrix is made from our own Jacobian and
- * follows the step, and a step asks for 1.1 rates, one of Adams for 1.8: so Adams gives way as soon as BDF's
- * step would be as long, and gets the work back where its own would have been 1.3 times as long for a hundred
- * steps, for each start from order 1 costs some forty rates. (1.44 is the most that error constants give it.)
+ * Adams gives way when BDF's step would be five times its own; BDF gives way when Adams' would be no smaller.
  */
 #include "sim/integrator.h"
 
@@ -23,41 +19,22 @@
 #include <nvector/nvector_serial.h>
 #include <sunmatrix/sunmatrix_dense.h>
 #include <sunnonlinsol/sunnonlinsol_fixedpoint.h>
-#include <sunnonlinsol/sunnonlinsol_newton.h>
 
 #include "sim/dense_solver_internal.h"
 
 enum { ADAMS, BDF, STEPS_BEFORE_TEST = 20 };
 
-/* Above it the two cannot be compared. */
+/* Above order 5 the two cannot be compared, and Adams held at the rim of its stability can stay there for
+ * ever. */
 enum { MOST_SHARED_ORDER = 5 };
 
-static const double RETURN = 1.3;
-enum { EASY_STEPS = 100, RIM_STEPS = 10 };
-
-/* Errors of steps gather. At order 5 the number of steps grows as tolerance^(-1/6), and with it what has
- * gathered at the end, in tolerances; steps held to tolerance^(6/5) keep that about the same at every
- * tolerance: within 10 on the problems of tests/bench, where LSODA comes to 20 … 100. */
-static double local_share(double relative)
-{
-    return 0.8 * pow(relative, 0.2);
-}
-
-/* Steps that the Jacobian is kept for: twice as long where it has changed Newton's matrix by less than
- * 0.3 since the last time (in the norm of the errors), else half as long. Old ones cost more than calls of
- * the rate: what the corrector leaves over disturbs the estimate of the error, and steps get shorter
- * (Robertson: 920 steps with CVODE's constant 51, 590 with this). The matrix is made anew from it where h has
- * changed by 2 %. */
-enum { LEAST_KEPT = 4, MOST_KEPT = 12 };
-static const double MATRIX_CHANGE = 0.02;
-/* A step grows where it could by this, not only by CVODE's 1.5: with the matrix at hand that costs nothing.
- */
-static const double LEAST_GROWTH = 1.1;
+/* Errors of steps gather: held at a tenth of the tolerance, what has gathered at the end stays near it (on
+ * the problems of tests/sim within 10 times, where LSODA comes to 50). */
+static const double LOCAL_SHARE = 0.03;
 
 struct td_integrator {
     td_ode ode;
     td_integrator_method method;
-    double root_size; /* sqrt(n) */
     double relative, max_step_s, first_step_s;
     long max_steps;
     SUNContext context;
@@ -65,15 +42,7 @@ struct td_integrator {
     N_Vector absolute, y, step_end, weight, error, probe, probe_rate;
     SUNMatrix matrix;
     SUNLinearSolver linear;
-    SUNNonlinearSolver fixed_point, newton;
-    long jacobian_step; /* steps until it was made; -1: never */
-    int again;          /* times that the matrix was made anew in this step */
-    long matrix_step;   /* steps until the matrix was made */
-    long kept;          /* steps that the Jacobian is kept for */
-    double jacobian_change;
-    double *jacobian;   /* (n,n) column-major, the last */
-    double contraction; /* of Newton's iterations, when last seen */
-    double last_change; /* of the iteration before, weighted */
+    SUNNonlinearSolver fixed_point;
     int now;            /* ADAMS or BDF */
     double t;           /* that y is at */
     double reached;     /* end of the last internal step, which step_end is at */
@@ -83,7 +52,6 @@ struct td_integrator {
     int event, direction;
     N_Vector event_y;
     bool want_switch;
-    long settled;     /* steps in a row that speak for the other method */
     long since;       /* steps since the start or a switch */
     double lipschitz; /* of the corrector's iterations since the last test (Adams), of the Jacobian (BDF) */
     double *last_y, *last_rate; /* (n) of the last call of rate */
@@ -176,97 +144,29 @@ static bool differences(td_integrator *g, double *j, double t, double *y, const 
     return true;
 }
 
-/* Into g->jacobian, its norm and how far it is from the last. */
-static bool make_jacobian(td_integrator *g, double t, double *y, const double *dy, double *changed)
+static int jacobian(realtype t, N_Vector y, N_Vector dy, SUNMatrix matrix, void *user, N_Vector t1,
+                    N_Vector t2, N_Vector t3)
 {
+    td_integrator *g = user;
     size_t n = g->ode.size;
     const double *w = N_VGetArrayPointer(g->weight);
-    double norm = 0, change = 0, *j = calloc(n * n, sizeof *j);
-    if (!j) return false;
+    double *in = N_VGetArrayPointer(y), norm = 0, *j = calloc(n * n, sizeof *j);
+    (void)t2, (void)t3;
+    if (!j) return -1;
     g->count.jacobians++;
-    bool ok =
-        g->ode.jacobian ? g->ode.jacobian(j, t, y, dy, g->ode.user) : differences(g, j, t, y, dy, changed);
+    bool ok = g->ode.jacobian ? g->ode.jacobian(j, t, in, N_VGetArrayPointer(dy), g->ode.user)
+                              : differences(g, j, t, in, N_VGetArrayPointer(dy), N_VGetArrayPointer(t1));
     for (size_t i = 0; ok && i < n; i++) {
-        double sum = 0, off = 0; /* of row i, in the norm in which errors are weighed */
+        double sum = 0; /* of row i, in the norm in which errors are weighed */
         for (size_t k = 0; k < n; k++) {
-            const double one = j[i * n + k];
-            sum += fabs(one) / w[k];
-            off += fabs(one - g->jacobian[k * n + i]) / w[k];
-            g->jacobian[k * n + i] = one;
+            SM_ELEMENT_D(matrix, (sunindextype)i, (sunindextype)k) = j[i * n + k];
+            sum += fabs(j[i * n + k]) / w[k];
         }
         norm = fmax(norm, sum * w[i]);
-        change = fmax(change, off * w[i]);
     }
     free(j);
+    if (!ok || !isfinite(norm)) return 1;
     g->lipschitz = norm;
-    g->jacobian_change = change;
-    return ok && isfinite(norm);
-}
-
-static void choose_kept(td_integrator *g, double gamma)
-{
-    if (fabs(gamma) * g->jacobian_change < 0.3)
-        g->kept = g->kept < MOST_KEPT / 2 ? 2 * g->kept : MOST_KEPT;
-    else
-        g->kept = g->kept / 2 > LEAST_KEPT ? g->kept / 2 : LEAST_KEPT;
-}
-
-/* Newton's matrix I - gamma J. J stays while it is young, after a start from a new state too. Where CVODE
- * asks a second time in a step, the corrector or the step's error has failed with it, and it is not trusted;
- * a third time, nor is what is remembered of the contraction. */
-static int newton_matrix(realtype t, N_Vector y, N_Vector dy, SUNMatrix matrix, booleantype keep,
-                         booleantype *made, realtype gamma, void *user, N_Vector t1, N_Vector t2, N_Vector t3)
-{
-    td_integrator *g = user;
-    const size_t n = g->ode.size;
-    const bool again = g->matrix_step == g->count.steps, first = g->jacobian_step < 0;
-    (void)t2, (void)t3;
-    g->matrix_step = g->count.steps;
-    *made = first || again || (!keep && g->count.steps - g->jacobian_step >= g->kept);
-    g->again = again ? g->again + 1 : 0;
-    if (g->again > 1) g->contraction = 1;
-    if (*made) {
-        if (!make_jacobian(g, t, N_VGetArrayPointer(y), N_VGetArrayPointer(dy), N_VGetArrayPointer(t1)))
-            return 1;
-        if (!first && !again) choose_kept(g, gamma);
-        g->jacobian_step = g->count.steps;
-    }
-    double *const a = SM_DATA_D(matrix);
-    for (size_t i = 0; i < n * n; i++) a[i] = -gamma * g->jacobian[i];
-    for (size_t i = 0; i < n; i++) a[i * (n + 1)] += 1;
-    return 0;
-}
-
-/* Newton has converged where the next change would be within `tolerance`: the last one times the contraction.
- * CVODE forgets the contraction with each new matrix, and so asks for a second iteration, a rate each, in
- * every step; here what was seen last holds, also for the steps to come. */
-static int newton_converged(SUNNonlinearSolver solver, N_Vector y, N_Vector change, realtype tolerance,
-                            N_Vector weight, void *user)
-{
-    td_integrator *g = user;
-    const double size = N_VWrmsNorm(change, weight);
-    int iteration = 0;
-    (void)y;
-    SUNNonlinSolGetCurIter(solver, &iteration);
-    if (iteration > 0) {
-        g->contraction = fmax(0.2 * g->contraction, size / g->last_change);
-        if (size > 2 * g->last_change) {
-            g->contraction = 1;
-            return SUN_NLS_CONV_RECVR;
-        }
-    }
-    g->last_change = size;
-    return size * fmin(1, g->contraction) > tolerance ? SUN_NLS_CONTINUE : SUN_NLS_SUCCESS;
-}
-
-/* The Euclidean norm of errors over tolerances, CVODE's being their mean square's root: one state that errs
- * among twenty that do not must not hide behind them. */
-static int weigh(N_Vector y, N_Vector weight, void *user)
-{
-    td_integrator *g = user;
-    const double *at = N_VGetArrayPointer(y), *absolute = N_VGetArrayPointer(g->absolute);
-    double *w = N_VGetArrayPointer(weight);
-    for (size_t i = 0; i < g->ode.size; i++) w[i] = g->root_size / (g->relative * fabs(at[i]) + absolute[i]);
     return 0;
 }
 
@@ -287,7 +187,6 @@ void td_integrator_free(td_integrator **integrator)
         if (g->memory[k]) CVodeFree(&g->memory[k]);
     if (g->linear) SUNLinSolFree(g->linear);
     if (g->fixed_point) SUNNonlinSolFree(g->fixed_point);
-    if (g->newton) SUNNonlinSolFree(g->newton);
     if (g->matrix) SUNMatDestroy(g->matrix);
     N_Vector vectors[8] = {g->absolute, g->y,       g->step_end, g->weight,
                            g->error,    g->event_y, g->probe,    g->probe_rate};
@@ -296,7 +195,6 @@ void td_integrator_free(td_integrator **integrator)
     if (g->context) SUNContext_Free(&g->context);
     free(g->last_y);
     free(g->last_rate);
-    free(g->jacobian);
     free(g);
     *integrator = NULL;
 }
@@ -312,45 +210,34 @@ static bool make_vectors(td_integrator *g, const td_integrator_options *o, const
     g->last_rate = malloc(n * sizeof *g->last_rate);
     if (!g->last_y || !g->last_rate) return false;
     for (size_t i = 0; i < n; i++) {
-        const double a = o->absolute ? o->absolute[i] : 1e-9;
-        N_VGetArrayPointer(g->absolute)[i] = local_share(o->relative) * a;
+        double a = LOCAL_SHARE * (o->absolute ? o->absolute[i] : 1e-9);
+        N_VGetArrayPointer(g->absolute)[i] = a;
+        N_VGetArrayPointer(g->weight)[i] = 1 / (g->relative * fabs(y[i]) + a);
     }
     memcpy(N_VGetArrayPointer(g->y), y, n * sizeof *y);
-    return weigh(g->y, g->weight, g) == 0;
-}
-
-static bool make_adams(td_integrator *g, void *memory)
-{
-    g->fixed_point = SUNNonlinSol_FixedPoint(g->y, 0, g->context);
-    return g->fixed_point && CVodeSetNonlinearSolver(memory, g->fixed_point) == CV_SUCCESS;
-}
-
-static bool make_bdf(td_integrator *g, void *memory)
-{
-    const sunindextype n = (sunindextype)g->ode.size;
-    g->jacobian = calloc(g->ode.size * g->ode.size, sizeof *g->jacobian);
-    g->matrix = SUNDenseMatrix(n, n, g->context);
-    g->linear = g->matrix ? td_dense_solver(n, g->context) : NULL;
-    g->newton = SUNNonlinSol_Newton(g->y, g->context);
-    return g->jacobian && g->linear && g->newton &&
-           CVodeSetNonlinearSolver(memory, g->newton) == CV_SUCCESS &&
-           SUNNonlinSolSetConvTestFn(g->newton, newton_converged, g) == SUN_NLS_SUCCESS &&
-           CVodeSetLinearSolver(memory, g->linear, g->matrix) == CV_SUCCESS &&
-           CVodeSetLinSysFn(memory, newton_matrix) == CV_SUCCESS &&
-           CVodeSetJacEvalFrequency(memory, LEAST_KEPT) == CV_SUCCESS &&
-           CVodeSetLSetupFrequency(memory, LEAST_KEPT) == CV_SUCCESS &&
-           CVodeSetDeltaGammaMaxLSetup(memory, MATRIX_CHANGE) == CV_SUCCESS;
+    return true;
 }
 
 static bool make_memory(td_integrator *g, int which)
 {
     void *m = g->memory[which] = CVodeCreate(which == ADAMS ? CV_ADAMS : CV_BDF, g->context);
     if (!m || CVodeSetErrHandlerFn(m, keep_message, g) != CV_SUCCESS) return false;
-    bool ok = CVodeInit(m, rate, g->t, g->y) == CV_SUCCESS && CVodeWFtolerances(m, weigh) == CV_SUCCESS &&
-              CVodeSetUserData(m, g) == CV_SUCCESS &&
-              CVodeSetEtaFixedStepBounds(m, 0, LEAST_GROWTH) == CV_SUCCESS &&
-              (which == ADAMS ? make_adams(g, m) : make_bdf(g, m));
+    if (CVodeInit(m, rate, g->t, g->y) != CV_SUCCESS ||
+        CVodeSVtolerances(m, g->relative, g->absolute) != CV_SUCCESS)
+        return false;
+    bool ok = CVodeSetUserData(m, g) == CV_SUCCESS;
     if (g->max_step_s > 0) ok = ok && CVodeSetMaxStep(m, g->max_step_s) == CV_SUCCESS;
+    if (which == ADAMS) {
+        g->fixed_point = SUNNonlinSol_FixedPoint(g->y, 0, g->context);
+        if (g->method == TD_INTEGRATOR_AUTO) ok = ok && CVodeSetMaxOrd(m, MOST_SHARED_ORDER) == CV_SUCCESS;
+        ok = ok && g->fixed_point && CVodeSetNonlinearSolver(m, g->fixed_point) == CV_SUCCESS;
+    } else {
+        sunindextype n = (sunindextype)g->ode.size;
+        g->matrix = SUNDenseMatrix(n, n, g->context);
+        g->linear = g->matrix ? td_dense_solver(n, g->context) : NULL;
+        ok = ok && g->linear && CVodeSetLinearSolver(m, g->linear, g->matrix) == CV_SUCCESS &&
+             CVodeSetJacFn(m, jacobian) == CV_SUCCESS;
+    }
     if (g->ode.event_count)
         ok = ok && CVodeRootInit(m, (int)g->ode.event_count, roots) == CV_SUCCESS &&
              CVodeSetNoInactiveRootWarn(m) == CV_SUCCESS;
@@ -391,22 +278,15 @@ td_status td_integrator_new(td_integrator **integrator, const td_ode *ode, doubl
     TD_TRY(check(ode, t, y, &o, error));
     td_integrator *g = calloc(1, sizeof *g);
     if (!g) return td_fail(error, TD_ERROR_MEMORY, "integrator: no memory for %zu states", ode->size);
-    *g = (td_integrator){
-        .ode = *ode,
-        .method = o.method,
-        /* Not below what rounding leaves of the weighted state. */
-        .relative = fmax(local_share(o.relative) * o.relative, 10 * DBL_EPSILON * sqrt((double)ode->size)),
-        .root_size = sqrt((double)ode->size),
-        .contraction = 1,
-        .jacobian_step = -1,
-        .matrix_step = -1,
-        .kept = LEAST_KEPT,
-        .max_step_s = o.max_step_s,
-        .first_step_s = o.first_step_s,
-        .max_steps = o.max_steps,
-        .now = o.method == TD_INTEGRATOR_BDF ? BDF : ADAMS,
-        .t = t,
-        .reached = t};
+    *g = (td_integrator){.ode = *ode,
+                         .method = o.method,
+                         .relative = LOCAL_SHARE * o.relative,
+                         .max_step_s = o.max_step_s,
+                         .first_step_s = o.first_step_s,
+                         .max_steps = o.max_steps,
+                         .now = o.method == TD_INTEGRATOR_BDF ? BDF : ADAMS,
+                         .t = t,
+                         .reached = t};
     bool ok = SUNContext_Create(NULL, &g->context) == 0 && make_vectors(g, &o, y);
     if (ok && o.method != TD_INTEGRATOR_BDF) ok = make_memory(g, ADAMS);
     if (ok && o.method != TD_INTEGRATOR_ADAMS) ok = make_memory(g, BDF);
@@ -438,10 +318,9 @@ static td_status begin(td_integrator *g, int which, double t, N_Vector y, double
 {
     bank(g);
     g->now = which;
-    g->since = g->settled = 0;
+    g->since = 0;
     g->conv_fails = 0;
     g->lipschitz = 0;
-    g->contraction = 1;
     g->last_valid = false;
     g->want_switch = false;
     if (CVodeReInit(g->memory[which], t, y) != CV_SUCCESS ||
@@ -462,13 +341,11 @@ static double by_accuracy(double error, int order)
     return 1 / (1.2 * pow(error, 1.0 / (order + 1)) + 1.2e-6);
 }
 
-/* Of Adams' stability region, by order. */
-static const double REACH[12] = {.5, .575, .55, .45, .35, .25, .2, .15, .1, .075, .05, .025};
-
 static double capped_by_stability(double ratio, double lipschitz, double h, int order)
 {
+    static const double reach[12] = {.5, .575, .55, .45, .35, .25, .2, .15, .1, .075, .05, .025};
     double lh = lipschitz * fabs(h);
-    return lh * ratio > 1e-5 ? fmin(ratio, REACH[order - 1] / lh) : ratio;
+    return lh * ratio > 1e-5 ? fmin(ratio, reach[order - 1] / lh) : ratio;
 }
 
 /* Error constants of order q: Adams' 1 / |int_-1^0 x (x+1) … (x+q-1) dx|, BDF's (q+1)/q!. */
@@ -519,25 +396,17 @@ static bool leave_adams(td_integrator *g, outlook *o)
         o->bdf = 2;
         return limited;
     }
-    /* LSODA keeps its steps within the reach; CVODE does not know of it. Held at the rim of its stability by
-     * an error that is noise, Adams would stay there for ever. */
-    if (o->order > MOST_SHARED_ORDER) {
-        g->settled = g->lipschitz * fabs(o->h) > REACH[o->order - 1] ? g->settled + 1 : 0;
-        return g->settled >= RIM_STEPS;
-    }
-    g->settled = 0;
     o->adams = capped_by_stability(by_accuracy(o->error, o->order), g->lipschitz, o->h, o->order);
     o->bdf = by_accuracy(o->error / bdf_over_adams(o->order), o->order);
-    return o->bdf >= o->adams;
+    return o->bdf >= 2 * o->adams;
 }
 
-static bool leave_bdf(td_integrator *g, outlook *o)
+static bool leave_bdf(const td_integrator *g, outlook *o)
 {
     double error = o->error * bdf_over_adams(o->order);
     o->adams = capped_by_stability(by_accuracy(error, o->order), g->lipschitz, o->h, o->order);
     o->bdf = by_accuracy(o->error, o->order);
-    g->settled = o->adams < RETURN * o->bdf ? 0 : g->settled + 1;
-    if (g->settled < EASY_STEPS) return false;
+    if (o->adams < 1.4 * o->bdf) return false;
     double predicted = error * pow(fmax(1e-3, o->adams), o->order + 1);
     return predicted > 1000 * DBL_EPSILON * o->size;
 }
@@ -591,15 +460,6 @@ static void note_event(td_integrator *g, double t)
     g->count.events++;
 }
 
-/* The steps behind do not fit what comes: the equations have jumped, or they were Adams' and it cannot. */
-static td_status recover(td_integrator *g, double t, td_error *error)
-{
-    g->reached = t;
-    g->jacobian_step = -1;
-    if (g->method == TD_INTEGRATOR_AUTO && g->now == ADAMS) return change_method(g, error);
-    return begin(g, g->now, t, g->step_end, 0, error);
-}
-
 /* One internal step of CVODE, or the next event in the last one. */
 static td_status step(td_integrator *g, td_error *error)
 {
@@ -617,9 +477,10 @@ static td_status step(td_integrator *g, td_error *error)
         note_event(g, t);
     } else if (flag == CV_SUCCESS) {
         g->unchecked = false;
-    } else if ((flag == CV_CONV_FAILURE || flag == CV_ERR_FAILURE) &&
-               (after > 0 || (g->method == TD_INTEGRATOR_AUTO && g->now == ADAMS))) {
-        return recover(g, t, error);
+    } else if (g->method == TD_INTEGRATOR_AUTO && g->now == ADAMS &&
+               (flag == CV_CONV_FAILURE || flag == CV_ERR_FAILURE)) {
+        g->reached = t;
+        return change_method(g, error);
     } else {
         return give_up(g, error);
     }
