@@ -21,7 +21,8 @@ typedef struct td_ode {
     /* (n,n) row-major, d rate / d y; NULL: by differences. */
     bool (*jacobian)(double *j, double t, const double *y, const double *dy, void *user);
     size_t event_count;
-    /* g (event_count): an event is where one of them passes through 0. NULL with event_count 0. */
+    /* g (event_count): an event is where one of them becomes positive, or ceases to be; no event, which
+     * of the two it is at the start, or after a restart. NULL with event_count 0. */
     void (*events)(double *g, double t, const double *y, void *user);
     void *user;
 } td_ode;

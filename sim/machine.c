@@ -1,5 +1,4 @@
 /* The machine as a whole: made, commanded, stepped. */
-#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -108,9 +107,7 @@ static void make_stops(td_machine *m)
     m->ode.event_count = count + 1;
 }
 
-/* Above 0: past that stop, in the plane. Never 0: two zeros within rounding of one another would stop the
- * search for roots.
- */
+/* Above 0: past that stop, in the plane. */
 static void find_events(double *g, double t, const double *y, void *machine)
 {
     const td_machine *m = machine;
@@ -128,8 +125,6 @@ static void find_events(double *g, double t, const double *y, void *machine)
         const double q = y[l.q + m->event_joint[i]];
         g[i] = m->event_upper[i] ? q - j->upper : j->lower - q;
     }
-    for (size_t i = 0; i <= stops; i++)
-        if (g[i] == 0) g[i] = DBL_MIN;
 }
 
 /* What is small for each state: a tolerance on states near 0 (rad, m, rad/s, m/s, N, m/s). */

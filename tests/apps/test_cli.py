@@ -66,7 +66,10 @@ def test_examples():
                 out = re.search(r"-o (\S+)", example)
                 made = os.path.join(folder, out[1]) if out else folder
                 whole = not os.path.isdir(made) or name not in JOBS or os.path.exists(os.path.join(made, "result.yaml"))
-                check(done.returncode == 0 and os.path.exists(made) and whole, f"{example} {shortened(done.stderr)}")
+                # A machine as busy as one that tests misses deadlines, which ends a live session, and its replay, as it should.
+                late = "live" in example and done.returncode == 3 and "deadline was missed" in done.stdout
+                check((done.returncode == 0 or late) and os.path.exists(made) and whole,
+                      f"{example} ended with {done.returncode} {shortened(done.stderr)}")
             for out in os.listdir(folder):
                 if out != "datasets":
                     path = os.path.join(folder, out)

@@ -198,6 +198,33 @@ static void test_two_events_in_a_step(void **state)
     td_integrator_free(&g);
 }
 
+/* A sign that is rounding, and one that is no number: CVODE's own search for roots does not return from
+ * either. */
+static void noise_events(double *g, double t, const double *y, void *user)
+{
+    (void)user;
+    g[0] = sin(1e12 * t) * 1e-16;
+    g[1] = t > 0.1 ? NAN : y[0];
+}
+
+static void test_events_of_noise(void **state)
+{
+    td_ode ode = {.size = 2, .rate = ball_rate, .event_count = 2, .events = noise_events};
+    td_integrator *g = NULL;
+    td_error error = {0};
+    double y[2] = {1, 0};
+    int event, told = 0;
+    (void)state;
+    check_ok(td_integrator_new(&g, &ode, 0, y, NULL, &error), error);
+    do {
+        check_ok(td_integrator_advance(g, 0.4, &event, NULL, &error), error);
+        told += event >= 0;
+    } while (event >= 0);
+    assert_true(told > 0 && told <= 3 * td_integrator_count(g).steps);
+    check_near(td_integrator_state(g)[0], 1 - 9.81 / 2 * 0.16, 1e-6);
+    td_integrator_free(&g);
+}
+
 static void test_pieces(void **state)
 {
     problem p;
@@ -218,7 +245,13 @@ static void test_pieces(void **state)
     td_integrator_free(&g);
 }
 
-/* Without a Jacobian it is made by differences, and counted. */
+static bool counted_rate(double *d, double t, const double *y, void *user)
+{
+    ++*(long *)user;
+    return hires_rate(d, t, y, NULL);
+}
+
+/* Without a Jacobian it is made by differences; every call of the rate is counted, theirs too. */
 static void test_differences(void **state)
 {
     problem p;
@@ -227,10 +260,14 @@ static void test_differences(void **state)
     (void)state;
     hires(&p);
     solve(given, &c[0], &p, 1e-6, TD_INTEGRATOR_BDF);
+    long called = 0;
     p.ode.jacobian = NULL;
+    p.ode.rate = counted_rate;
+    p.ode.user = &called;
     solve(made, &c[1], &p, 1e-6, TD_INTEGRATOR_BDF);
     for (int i = 0; i < 8; i++) check_near(made[i], given[i], 1e-5 * (fabs(given[i]) + 1e-4));
-    assert_true(c[1].jacobians > 0 && c[1].rates >= c[0].rates + 8 * c[1].jacobians - 200);
+    assert_true(c[1].jacobians > 0);
+    assert_int_equal(c[1].rates, called);
 }
 
 static bool blow_up(double *d, double t, const double *y, void *user)
@@ -289,6 +326,7 @@ int main(void)
                                        cmocka_unit_test(test_switches),
                                        cmocka_unit_test(test_events),
                                        cmocka_unit_test(test_two_events_in_a_step),
+                                       cmocka_unit_test(test_events_of_noise),
                                        cmocka_unit_test(test_pieces),
                                        cmocka_unit_test(test_differences),
                                        cmocka_unit_test(test_refusals)};
