@@ -86,18 +86,6 @@ static cli_command command = {
     .positional = argument,
 };
 
-static const char *gate_help(void)
-{
-    static char text[1600];
-    snprintf(text, sizeof text, "refuse above VALUE; may be repeated. Defaults, and why:");
-    for (size_t i = 0; i < match_gate_count; i++) {
-        const gate_row *g = &match_gate_defaults[i];
-        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
-                 g->refuse, g->warn, g->why);
-    }
-    return text;
-}
-
 static td_status find_cameras(match_job *m, int camera[2], td_error *error)
 {
     char name[2][TD_NAME_SIZE];
@@ -364,8 +352,10 @@ static void release(match_job *m)
 int main(int argc, char **argv)
 {
     job j;
+    static char gate_text[2400] = GATE_HELP;
+    gate_help(gate_text, sizeof gate_text, match_gate_defaults, match_gate_count);
     for (size_t i = 0; i < command.option_count; i++)
-        if (options[i].target == &gates) options[i].help = gate_help();
+        if (options[i].target == &gates) options[i].help = gate_text;
     int code = job_begin(&j, &command, &common, match_schema, match_schema_count, true, argc, argv);
     if (code >= 0) return code;
     match_job m = {.image_path = {argument[0], argument[1]},
