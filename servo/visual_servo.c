@@ -16,7 +16,7 @@ static const double AT_STOP = 1e-3; /* rad, m: a joint this near to where it mus
 
 td_visual_servo_options td_visual_servo_options_default(void)
 {
-    return (td_visual_servo_options){.interaction = TD_INTERACTION_CURRENT,
+    return (td_visual_servo_options){.interaction = TD_INTERACTION_MEAN,
                                      .law = TD_SERVO_LAW_OWN,
                                      .gain_zero = 1.5,
                                      .gain_infinity = 0.4,
@@ -332,6 +332,23 @@ static bool find_stops(bool *held, const td_visual_servo *servo, const td_plant_
     return more;
 }
 
+/* The second task, unless it would press a joint against its stop: that joint would hold up all the others.
+ */
+static void avoid(double *rate, td_servo_report *report, const td_visual_servo *servo, const moment *m,
+                  const td_plant_state *state)
+{
+    double both[N] = {0};
+    bool held[N];
+    if (!td_servo_avoid(both, &servo->options, servo->eye.robot, state->q, rate, m->jacobian, m->e, &m->free,
+                        m->rows))
+        return;
+    memcpy(held, report->at_stop, sizeof held);
+    for (int k = 0; k < m->joints; k++) both[k] = held[k] ? 0 : both[k] + rate[k];
+    if (find_stops(held, servo, state, both)) return;
+    memcpy(rate, both, (size_t)m->joints * sizeof *rate);
+    report->avoids = true;
+}
+
 static td_status find_rates(double *rate, td_servo_report *report, const td_visual_servo *servo, moment *m,
                             const td_plant_state *state, td_error *error)
 {
@@ -344,11 +361,7 @@ static td_status find_rates(double *rate, td_servo_report *report, const td_visu
         td_task_invert(&m->free, m->jacobian, m->e, m->rows, m->joints, report->at_stop, o->singular_share);
         TD_TRY(apply_law(rate, &report->gain, servo, m, report->at_stop, error));
     }
-    double extra[N] = {0};
-    if (o->avoid_limits)
-        report->avoids =
-            td_servo_avoid(extra, o, servo->eye.robot, state->q, rate, m->jacobian, m->e, &m->free, m->rows);
-    for (int k = 0; k < m->joints; k++) rate[k] += report->at_stop[k] ? 0 : extra[k];
+    if (o->avoid_limits) avoid(rate, report, servo, m, state);
     return TD_OK;
 }
 
@@ -426,7 +439,7 @@ static void arrive(td_visual_servo *servo, const td_servo_report *r)
         stop(servo, TD_SERVO_REDUCED, why);
     } else {
         snprintf(why, sizeof why,
-                 "a local minimum: %s are left that no motion takes away; start elsewhere, or use the pose",
+                 "no small motion brings it nearer, yet %s are left; start elsewhere, or use the pose",
                  rest);
         stop(servo, TD_SERVO_MINIMUM, why);
     }
@@ -439,7 +452,7 @@ static void give_up(td_visual_servo *servo, const td_servo_report *r, const mome
     size_t used = 0;
     describe(left, sizeof left, servo, &r->controlled);
     for (int k = 0; servo->eye.robot && k < m->joints && used < sizeof joints; k++)
-        if (r->at_stop[k])
+        if (servo->stopped[k])
             used += (size_t)snprintf(joints + used, sizeof joints - used, "%s%s", used ? ", " : "",
                                      servo->eye.robot->joint[k].name);
     if (joints[0]) {
@@ -465,7 +478,11 @@ static void judge(td_visual_servo *servo, const td_servo_report *r, const moment
     if (first) servo->first = fmax(whole, floor), servo->best = INFINITY;
     servo->settled_s = controlled <= 1 ? servo->settled_s + o->limits.period_s : 0;
     servo->best_s += o->limits.period_s;
-    if (controlled < 0.95 * servo->best) servo->best = controlled, servo->best_s = 0;
+    if (controlled < 0.95 * servo->best) {
+        servo->best = controlled, servo->best_s = 0;
+        memset(servo->stopped, 0, sizeof servo->stopped);
+    }
+    for (int k = 0; k < N; k++) servo->stopped[k] |= r->at_stop[k];
     if (servo->settled_s > o->settle_s) {
         arrive(servo, r);
     } else if (whole > o->diverging * servo->first) {

@@ -142,6 +142,7 @@ typedef struct td_visual_servo {
     double rate[TD_ROBOT_MAX_JOINTS];           /* commanded last */
     double time_s, settled_s, unseen_s, best_s; /* since: the start; within tolerance; seen; nearest */
     double first, best;                         /* e at the start; the least of it */
+    bool stopped[TD_ROBOT_MAX_JOINTS];          /* were at their stops since it was nearest */
     void *module;                               /* ViSP, when it is asked for */
 } td_visual_servo;
 

@@ -13,6 +13,7 @@
  * images, masses and oil. */
 #include "tests/check.h"
 
+#include "core/linalg.h"
 #include "core/random.h"
 #include "servo/visual_servo_internal.h"
 #include "tests/servo/servo_robots.h"
@@ -45,7 +46,7 @@ static int own_tutorial(double zero, double infinity, double slope, double toler
     square_target(&s, 0.1);
     const td_servo_sight goal = view_from(&s, &there, NULL);
     o.gain_zero = zero, o.gain_infinity = infinity, o.gain_slope = slope, o.law = law;
-    o.limits.period_s = 0.04, o.tolerance_px = 1e-9;
+    o.limits.period_s = 0.04, o.tolerance_px = 1e-9, o.interaction = TD_INTERACTION_CURRENT;
     check_ok(td_visual_servo_start(&servo, &s.eye, &goal, &o, &error), error);
     int i = 0;
     for (; i < 1000; i++) {
@@ -167,7 +168,7 @@ static void run_trials(scene *s, const trial *t, bool place)
 {
     td_random random = td_random_seed(7, 1);
     int ended[TD_SERVO_PHASES] = {0}, draws = 0;
-    double worst_px = 0, longest_s = 0, share[6] = {0};
+    double worst_px = 0, worst_m = 0, longest_s = 0, share[6] = {0};
     for (int i = 0; i < STARTS; i++) {
         double goal[TD_ROBOT_MAX_JOINTS];
         td_plant_state state = {0};
@@ -183,19 +184,20 @@ static void run_trials(scene *s, const trial *t, bool place)
         const td_servo_report r = drive(&servo, s, &state, INFINITY, 0);
         ended[r.phase]++;
         if (r.phase != TD_SERVO_CONVERGED) {
-            if (getenv("V"))
+            if (getenv("TELEDIMOS_VERBOSE"))
                 print_message("  %d: %s: %s whole %g controlled %g t %g\n", i, td_servo_phase_name(r.phase),
                               r.reason, r.whole.px, r.controlled.px, state.time_s);
             continue;
         }
-        worst_px = fmax(worst_px, r.controlled.px);
+        worst_px = fmax(worst_px, r.controlled.px), worst_m = fmax(worst_m, r.controlled.m);
         longest_s = fmax(longest_s, state.time_s);
         memcpy(share, r.share, sizeof share);
     }
-    print_message("%s: %d of %d converged, worst %.2f px, longest %.1f s; controls rx %.2f ry %.2f rz %.2f "
-                  "tx %.2f ty %.2f tz %.2f;",
-                  t->name, ended[TD_SERVO_CONVERGED], STARTS, worst_px, longest_s, share[0], share[1],
-                  share[2], share[3], share[4], share[5]);
+    print_message(
+        "%s: %d of %d converged, worst %.2f px, %.2f mm, longest %.1f s; controls rx %.2f ry %.2f rz %.2f "
+        "tx %.2f ty %.2f tz %.2f;",
+        t->name, ended[TD_SERVO_CONVERGED], STARTS, worst_px, 1e3 * worst_m, longest_s, share[0], share[1],
+        share[2], share[3], share[4], share[5]);
     for (int p = TD_SERVO_CONVERGED + 1; p < TD_SERVO_PHASES; p++)
         if (ended[p]) print_message(" %d %s", ended[p], td_servo_phase_name((td_servo_phase)p));
     print_message(" (%d draws)\n", draws);
@@ -213,16 +215,32 @@ static void test_six_joints(void **unused)
                        .link_from_camera = looking_ahead(0.05, 0.06)}};
     square_target(&s, 0.08);
     run_trials(
-        &s, &(trial){.name = "six joints, points", .around = 0.1, .near_m = 0.4, .far_m = 0.8, .tilt = 0.3},
+        &s, &(trial){.name = "six joints, points", .around = 0.15, .near_m = 0.4, .far_m = 0.8, .tilt = 0.3},
         true);
     run_trials(&s,
                &(trial){.name = "six joints, pose",
-                        .around = 0.1,
+                        .around = 0.15,
                         .near_m = 0.4,
                         .far_m = 0.8,
                         .tilt = 0.3,
                         .kind = TD_SERVO_POSE},
                true);
+    td_robot_free(&robot);
+}
+
+/* The camera stands 2.5 m before the arm and looks back at it; the target is on its tool. */
+static void test_fixed_camera(void **unused)
+{
+    (void)unused;
+    td_robot *robot = six_joints();
+    const double r[9] = {0, 0, -1, 1, 0, 0, 0, -1, 0}, t[3] = {2.5, 0, 0.6};
+    scene s = {.eye = {.camera = lens(),
+                       .robot = robot,
+                       .target_link = td_robot_find_link(robot, "tool"),
+                       .link_from_camera = td_pose_from_rotation(r, t)},
+               .link_from_target = looking_ahead(0.1, 0)};
+    square_target(&s, 0.2);
+    run_trials(&s, &(trial){.name = "six joints, fixed camera", .around = 0.15, .near_m = 1}, false);
     td_robot_free(&robot);
 }
 
@@ -235,12 +253,11 @@ static void test_excavator(void **unused)
                        .camera_link = td_robot_find_link(robot, "bucket"),
                        .link_from_camera = looking_ahead(0.3, 0.8)}};
     square_target(&s, 0.5);
-    run_trials(
-        &s, &(trial){.name = "excavator, eye in hand", .around = 0.1, .near_m = 3, .far_m = 6, .tilt = 0.3},
-        true);
+    run_trials(&s, &(trial){.name = "excavator, points", .around = 0.3, .near_m = 3, .far_m = 6, .tilt = 0.3},
+               true);
     run_trials(&s,
-               &(trial){.name = "excavator, eye in hand, pose",
-                        .around = 0.1,
+               &(trial){.name = "excavator, pose",
+                        .around = 0.3,
                         .near_m = 3,
                         .far_m = 6,
                         .tilt = 0.3,
@@ -249,12 +266,333 @@ static void test_excavator(void **unused)
     td_robot_free(&robot);
 }
 
+/* The camera on the cab, the target on the back of the bucket, which swings with it: three joints between. */
+static void test_cab(void **unused)
+{
+    (void)unused;
+    td_robot *robot = excavator();
+    scene s = {.eye = {.camera = lens(),
+                       .robot = robot,
+                       .camera_link = td_robot_find_link(robot, "upper"),
+                       .target_link = td_robot_find_link(robot, "bucket"),
+                       .link_from_camera = looking_ahead(1, 1.8)},
+               .link_from_target = pose_at(0.3, 0, 0.8, 0, 0, 0)};
+    s.eye.camera.parameter[0] = s.eye.camera.parameter[1] = 400;
+    square_target(&s, 0.4);
+    run_trials(&s, &(trial){.name = "excavator, camera on the cab", .around = 0.3, .near_m = 3}, false);
+    td_robot_free(&robot);
+}
+
+/* ---- the law ---- */
+
+/* Where the condition of J is below 100, so that 1e-12 is rounding. */
+static bool well_conditioned(const double *j, int rows, int n)
+{
+    td_task_inverse inverse;
+    td_task_invert(&inverse, j, NULL, rows, n, NULL, 0.01);
+    return inverse.rank == (rows < n ? rows : n) && inverse.damped == 0;
+}
+
+static void reorder(double *theirs, const double *ours, int n)
+{
+    for (int i = 0; i < 6; i++) memcpy(theirs + i * n, ours + (i + 3) % 6 * n, (size_t)n * sizeof *ours);
+}
+
+/* Of both, from features drawn for q. */
+static void draw_task(visp_task *t, td_servo_features *f, td_servo_eye *eye, const double *q, int mode,
+                      td_random *random)
+{
+    const bool hand = mode == VISP_CAMERA || mode == VISP_HAND_cVe_eJe;
+    const td_robot *robot = eye->robot;
+    *t = (visp_task){.mode = mode,
+                     .interaction = (int)f->interaction,
+                     .pose = f->kind == TD_SERVO_POSE,
+                     .points = f->count,
+                     .joints = robot ? robot->joint_count : 6,
+                     .gain = {2, 0.4, 5}};
+    for (int i = 0; i < f->count; i++)
+        for (int k = 0; k < 3; k++) {
+            f->now[i][k] = t->now[i][k] =
+                k < 2 ? td_random_uniform(random) - 0.5 : 0.5 + td_random_uniform(random);
+            f->goal[i][k] = t->goal[i][k] =
+                k < 2 ? td_random_uniform(random) - 0.5 : 0.5 + td_random_uniform(random);
+        }
+    f->goal_from_camera =
+        pose_at(td_random_normal(random), td_random_normal(random), td_random_normal(random),
+                td_random_normal(random), 0.5 * td_random_normal(random), td_random_normal(random));
+    td_pose_matrix(t->goal_from_camera, &f->goal_from_camera);
+    if (!robot) return;
+    const int link = hand ? eye->camera_link : eye->target_link, n = robot->joint_count;
+    td_pose at[TD_ROBOT_MAX_LINKS];
+    double root[6 * TD_ROBOT_MAX_JOINTS], own[6 * TD_ROBOT_MAX_JOINTS], ad[36];
+    td_robot_forward(at, robot, q);
+    td_robot_jacobian(root, robot, at, link);
+    const td_pose from_root = td_pose_inverse(at + link),
+                  camera_from_root = td_pose_inverse(&eye->link_from_camera),
+                  camera_from_hand = hand ? camera_from_root : td_pose_compose(&camera_from_root, at + link);
+    td_pose_adjoint(ad, &from_root);
+    for (int i = 0; i < 6; i++)
+        for (int k = 0; k < n; k++) {
+            own[i * n + k] = 0;
+            for (int j = 0; j < 6; j++) own[i * n + k] += ad[6 * i + j] * root[j * n + k];
+        }
+    reorder(t->hand_jacobian, own, n);
+    reorder(t->root_jacobian, root, n);
+    td_pose_matrix(t->camera_from_hand, &camera_from_hand);
+    td_pose_matrix(t->camera_from_root, &camera_from_root);
+    td_pose_matrix(t->root_from_hand, at + link);
+}
+
+static void full_jacobian(double *j, const td_servo_features *f, const td_servo_eye *eye, const double *q,
+                          int n)
+{
+    double l[TD_SERVO_ROWS * 6], twist[6 * TD_ROBOT_MAX_JOINTS];
+    const int rows = td_servo_interaction(l, f);
+    td_servo_jacobian(twist, NULL, eye, q);
+    td_multiply(j, l, twist, (size_t)rows, 6, (size_t)n);
+}
+
+static double largest(const double *x, int n)
+{
+    double most = 0;
+    for (int i = 0; i < n; i++) most = fmax(most, fabs(x[i]));
+    return most;
+}
+
+static void test_law(void **unused)
+{
+    (void)unused;
+    enum { DRAWS = 8 };
+    td_robot *robots[3] = {NULL, six_joints(), excavator()};
+    td_random random = td_random_seed(3, 1);
+    double worst = 0;
+    int compared = 0;
+    for (int mode = 0; mode < VISP_MODES; mode++)
+        for (int choice = 0; choice < 6; choice++)
+            for (int i = 0; i < DRAWS; i++) {
+                const td_robot *robot = robots[mode == VISP_CAMERA ? 0 : 1 + i % 2];
+                td_servo_features f = {.kind = choice < 3 ? TD_SERVO_POINTS : TD_SERVO_POSE,
+                                       .interaction = (td_interaction)(choice % 3),
+                                       .count = 5,
+                                       .radius_m = 1};
+                const int n = robot ? robot->joint_count : 6, hand = robot ? robot->link_count - 1 : 0;
+                td_servo_eye eye = {.robot = robot,
+                                    .camera_link = mode == VISP_HAND_cVe_eJe ? hand : 0,
+                                    .target_link = mode > VISP_HAND_cVe_eJe ? hand : 0,
+                                    .link_from_camera = pose_at(0.1, 0.2, -0.1, 0.3, -0.2, 0.5)};
+                double q[TD_ROBOT_MAX_JOINTS] = {0}, j[TD_SERVO_ROWS * TD_ROBOT_MAX_JOINTS], e[TD_SERVO_ROWS],
+                       own[TD_ROBOT_MAX_JOINTS], theirs[TD_ROBOT_MAX_JOINTS];
+                visp_task t;
+                int rows;
+                do {
+                    if (robot) draw_joints(q, robot, NULL, 1, &random);
+                    draw_task(&t, &f, &eye, q, mode, &random);
+                    rows = td_servo_error_of(e, &f);
+                    full_jacobian(j, &f, &eye, q, n);
+                } while (!well_conditioned(j, rows, n));
+                td_visual_servo_options o = td_visual_servo_options_default();
+                o.gain_zero = 2, o.gain_infinity = 0.4, o.gain_slope = 5;
+                td_task_inverse inverse;
+                td_task_invert(&inverse, j, e, rows, n, NULL, 1e-3);
+                const double gain = td_servo_gain(&o, inverse.step, n);
+                for (int k = 0; k < n; k++) own[k] = -gain * inverse.step[k];
+                visp_law(theirs, NULL, &t);
+                if (!robot) { /* its camera's twist begins with v */
+                    double turned[6];
+                    reorder(turned, theirs, 1);
+                    memcpy(theirs, turned, sizeof turned);
+                }
+                for (int k = 0; k < n; k++) {
+                    const double off = fabs(own[k] - theirs[k]) / largest(theirs, n);
+                    worst = fmax(worst, off);
+                    if (!(off < 1e-12))
+                        fail_msg("form %d, choice %d: rate %d is %.17g, ViSP's %.17g", mode, choice, k,
+                                 own[k], theirs[k]);
+                }
+                compared++;
+            }
+    print_message("%d laws in ViSP's five forms: apart by %.1e at most\n", compared, worst);
+    td_robot_free(&robots[1]);
+    td_robot_free(&robots[2]);
+}
+
+/* One joint near its limit. Of a pose, so that e is all reached, as ViSP takes it. */
+static void test_avoidance(void **unused)
+{
+    (void)unused;
+    td_robot *robot = six_joints();
+    td_random random = td_random_seed(4, 1);
+    const td_visual_servo_options o = td_visual_servo_options_default();
+    const int n = robot->joint_count;
+    double worst = 0, most = 0;
+    for (int i = 0; i < 50; i++) {
+        td_servo_features f = {.kind = TD_SERVO_POSE, .interaction = TD_INTERACTION_CURRENT, .radius_m = 1};
+        td_servo_eye eye = {.robot = robot,
+                            .camera_link = robot->link_count - 1,
+                            .link_from_camera = pose_at(0.1, 0.2, -0.1, 0.3, -0.2, 0.5)};
+        double q[TD_ROBOT_MAX_JOINTS] = {0}, j[36], e[6], theirs[TD_ROBOT_MAX_JOINTS],
+               rate[TD_ROBOT_MAX_JOINTS];
+        double own[TD_ROBOT_MAX_JOINTS] = {0}, extra[TD_ROBOT_MAX_JOINTS] = {0};
+        visp_task t;
+        do {
+            for (int k = 0; k < n; k++)
+                q[k] = robot->joint[k].upper *
+                       (k == i % n ? (i % 2 ? 1 : -1) * (0.8 + 0.2 * td_random_uniform(&random))
+                                   : 1.5 * td_random_uniform(&random) - 0.75);
+            draw_task(&t, &f, &eye, q, VISP_HAND_cVe_eJe, &random);
+            td_servo_error_of(e, &f);
+            full_jacobian(j, &f, &eye, q, n);
+        } while (!well_conditioned(j, 6, n));
+        t.avoid = 1;
+        memcpy(t.q, q, sizeof t.q);
+        for (int k = 0; k < n; k++) t.lower[k] = robot->joint[k].lower, t.upper[k] = robot->joint[k].upper;
+        visp_law(rate, theirs, &t);
+        td_task_inverse inverse;
+        td_task_invert(&inverse, j, e, 6, n, NULL, 1e-3);
+        td_servo_avoid(extra, &o, robot, q, rate, j, e, &inverse, 6);
+        for (int k = 0; k < n; k++) {
+            own[k] = extra[k];
+            worst = fmax(worst, fabs(own[k] - theirs[k]));
+            check_near(own[k], theirs[k], 1e-12 * fmax(1, largest(rate, n)));
+        }
+        most = fmax(most, largest(extra, n));
+        /* It leaves e falling as it was. */
+        double change = 0;
+        for (int r = 0; r < 6; r++)
+            for (int k = 0; k < n; k++) change += e[r] * j[r * n + k] * extra[k];
+        check_near(change, 0, largest(e, 6) > 0.7 ? 1e-11 : INFINITY);
+    }
+    print_message("avoidance of limits: up to %.2f rad/s, apart from ViSP's by %.1e\n", most, worst);
+    assert_true(most > 0.1);
+    td_robot_free(&robot);
+}
+
+/* ViSP's law and ours through the whole servo, limits and all. */
+static void test_module(void **unused)
+{
+    (void)unused;
+    td_robot *robot = six_joints();
+    scene s = {.eye = {.camera = lens(),
+                       .robot = robot,
+                       .camera_link = td_robot_find_link(robot, "tool"),
+                       .link_from_camera = looking_ahead(0.05, 0.06)}};
+    const trial t = {.around = 0.1, .near_m = 0.4, .far_m = 0.8, .tilt = 0.3};
+    td_random random = td_random_seed(5, 1);
+    double goal[TD_ROBOT_MAX_JOINTS];
+    td_plant_state state = {0};
+    square_target(&s, 0.08);
+    while (!draw_scene(&s, goal, state.q, &t, true, &random)) {
+    }
+    const td_servo_sight wanted = view_at(&s, goal, NULL);
+    td_visual_servo own, theirs;
+    td_error error = {0};
+    td_visual_servo_options o = td_visual_servo_options_default();
+    check_ok(td_visual_servo_start(&own, &s.eye, &wanted, &o, &error), error);
+    o.law = TD_SERVO_LAW_VISP;
+    check_ok(td_visual_servo_start(&theirs, &s.eye, &wanted, &o, &error), error);
+    for (int i = 0; i < 100; i++) {
+        td_servo_report a, b;
+        const td_servo_sight sight = view_at(&s, state.q, NULL);
+        check_ok(td_visual_servo_step(&a, &own, &sight, &state, &error), error);
+        check_ok(td_visual_servo_step(&b, &theirs, &sight, &state, &error), error);
+        assert_int_equal(a.phase, b.phase);
+        check_near(a.gain, b.gain, 1e-11);
+        for (int k = 0; k < 6; k++) check_near(a.command.value[k], b.command.value[k], 1e-11);
+        pass_period(&state, robot, a.command.value, 0.02, 0.05);
+    }
+    td_visual_servo_end(&theirs);
+    o.radius_m = 2;
+    check_fails(td_visual_servo_start(&theirs, &s.eye, &wanted, &o, &error), TD_ERROR_ARGUMENT, error,
+                "radius_m");
+    td_robot_free(&robot);
+}
+
+/* ---- derivatives ---- */
+
+/* e of either kind by the joints, against differences of what the scene shows. */
+static void check_derivative(const scene *s, const double *q, const double *goal, td_servo_kind kind)
+{
+    const int n = s->eye.robot->joint_count;
+    td_visual_servo servo;
+    td_error error = {0};
+    td_servo_sight wanted = view_at(s, goal, NULL);
+    wanted.kind = kind;
+    td_visual_servo_options o = td_visual_servo_options_default();
+    o.radius_m = 0.7, o.interaction = TD_INTERACTION_CURRENT;
+    check_ok(td_visual_servo_start(&servo, &s->eye, &wanted, &o, &error), error);
+    double j[TD_SERVO_ROWS * TD_ROBOT_MAX_JOINTS], most;
+    bool identical = true;
+    td_servo_features f;
+    int index[TD_SERVO_MAX_POINTS];
+    td_servo_sight here = view_at(s, q, NULL);
+    here.kind = kind;
+    check_ok(td_servo_gather(&f, index, &servo, &here, &error), error);
+    full_jacobian(j, &f, &s->eye, q, n);
+    const int rows = kind == TD_SERVO_POSE ? 6 : 2 * f.count;
+    most = largest(j, rows * n);
+    for (int k = 0; k < n; k++) {
+        double e[2][TD_SERVO_ROWS];
+        for (int side = 0; side < 2; side++) {
+            double moved[TD_ROBOT_MAX_JOINTS];
+            memcpy(moved, q, (size_t)n * sizeof *q);
+            moved[k] += side ? 1e-6 : -1e-6;
+            td_servo_sight sight = view_at(s, moved, NULL);
+            sight.kind = kind;
+            check_ok(td_servo_gather(&f, index, &servo, &sight, &error), error);
+            td_servo_error_of(e[side], &f);
+        }
+        for (int r = 0; r < rows; r++) {
+            const double difference = (e[1][r] - e[0][r]) / 2e-6;
+            check_near(j[r * n + k], difference, 1e-7 * fmax(1, most));
+            identical = identical && difference == j[r * n + k];
+        }
+    }
+    assert_true(most > 0.1);
+    assert_false(identical);
+}
+
+static void test_derivatives(void **unused)
+{
+    (void)unused;
+    td_robot *robots[2] = {six_joints(), excavator()};
+    td_random random = td_random_seed(6, 1);
+    for (int i = 0; i < 12; i++) {
+        td_robot *robot = robots[i % 2];
+        const bool fixed = i % 4 > 1;
+        const int hand = robot->link_count - 1;
+        scene s = {.eye = {.camera = lens(),
+                           .robot = robot,
+                           .camera_link = fixed ? 1 : hand,
+                           .target_link = fixed ? hand : 0}};
+        double q[TD_ROBOT_MAX_JOINTS], goal[TD_ROBOT_MAX_JOINTS];
+        td_pose at[TD_ROBOT_MAX_LINKS];
+        square_target(&s, 0.2);
+        draw_joints(q, robot, NULL, 1, &random);
+        draw_joints(goal, robot, q, 0.02, &random);
+        td_robot_forward(at, robot, q);
+        /* The target before the camera, wherever that is. */
+        const td_pose from = pose_at(0.1, -0.05, 1.5, 0.3, -0.2, 0.7),
+                      camera = pose_at(0.2, 0.1, 0.3, -0.4, 0.5, 1);
+        s.eye.link_from_camera = camera;
+        const td_pose root_from_camera = td_pose_compose(at + s.eye.camera_link, &camera),
+                      root_from_target = td_pose_compose(&root_from_camera, &from),
+                      link_from_root = td_pose_inverse(at + s.eye.target_link);
+        s.link_from_target = td_pose_compose(&link_from_root, &root_from_target);
+        check_derivative(&s, q, goal, TD_SERVO_POINTS);
+        check_derivative(&s, q, goal, TD_SERVO_POSE);
+    }
+    td_robot_free(&robots[0]);
+    td_robot_free(&robots[1]);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_tutorial),
-        cmocka_unit_test(test_six_joints),
-        cmocka_unit_test(test_excavator),
+        cmocka_unit_test(test_tutorial),     cmocka_unit_test(test_law),
+        cmocka_unit_test(test_avoidance),    cmocka_unit_test(test_module),
+        cmocka_unit_test(test_derivatives),  cmocka_unit_test(test_six_joints),
+        cmocka_unit_test(test_fixed_camera), cmocka_unit_test(test_excavator),
+        cmocka_unit_test(test_cab),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
