@@ -59,24 +59,54 @@ static double condition(const double *a, const double *diagonal, int n)
     return sqrt(all * back);
 }
 
-/* False: not of full rank, or to be damped. */
+static void solve_upper(double *step, const double *a, const double *diagonal, const double *x, int n)
+{
+    for (int i = n - 1; i >= 0; i--) {
+        double sum = x[i];
+        for (int k = i + 1; k < n; k++) sum -= a[i * n + k] * step[k];
+        step[i] = sum / diagonal[i];
+    }
+}
+
+/* The step that minimises |R step - x|^2 + mu^2 |step|^2: that of [R; mu I], factorised once more. */
+static void solve_damped(double *step, const double *a, const double *diagonal, const double *x, int n,
+                         double mu)
+{
+    double both[12 * 6] = {0}, right[12] = {0}, head[6], again[6];
+    for (int i = 0; i < n; i++) {
+        for (int k = i; k < n; k++) both[i * n + k] = k == i ? diagonal[i] : a[i * n + k];
+        both[(n + i) * n + i] = mu;
+        right[i] = x[i];
+    }
+    factorise(both, head, again, 2 * n, n);
+    for (int k = 0; k < n; k++) reflect(right, both, head, again, k, 2 * n, n);
+    solve_upper(step, both, again, right, n);
+}
+
+static double length_of(const double *x, int n)
+{
+    double square = 0;
+    for (int i = 0; i < n; i++) square += x[i] * x[i];
+    return sqrt(square);
+}
+
+/* False: not of full rank, or too near to a singularity. */
 static bool invert_regular(td_task_inverse *inverse, const double *j, const double *e, int m, int n,
-                           double share)
+                           const td_task_damping *damping)
 {
     double a[TD_SERVO_ROWS * 6], x[TD_SERVO_ROWS], head[6], diagonal[6];
     if (m < n || n > 6) return false;
     memcpy(a, j, (size_t)(m * n) * sizeof *a);
     factorise(a, head, diagonal, m, n);
-    if (!(condition(a, diagonal, n) * fmax(share, NOTHING) < 1)) return false;
+    if (!(condition(a, diagonal, n) * fmax(damping->share, NOTHING) < 1)) return false;
     inverse->rank = n, inverse->damped = 0;
     if (!e) return true;
     memcpy(x, e, (size_t)m * sizeof *x);
     for (int k = 0; k < n; k++) reflect(x, a, head, diagonal, k, m, n);
-    for (int i = n - 1; i >= 0; i--) {
-        double sum = x[i];
-        for (int k = i + 1; k < n; k++) sum -= a[i * n + k] * inverse->step[k];
-        inverse->step[i] = sum / diagonal[i];
-    }
+    if (damping->by_error > 0)
+        solve_damped(inverse->step, a, diagonal, x, n, sqrt(damping->by_error) * length_of(x, n));
+    else
+        solve_upper(inverse->step, a, diagonal, x, n);
     memcpy(inverse->seen, x, (size_t)n * sizeof *x);
     for (int i = n; i < m; i++) inverse->seen[i] = 0;
     for (int k = n - 1; k >= 0; k--) reflect(inverse->seen, a, head, diagonal, k, m, n);
@@ -153,39 +183,45 @@ static double right(const svd *d, int k, int i)
     return d->transposed ? d->side[k * d->columns + i] / d->s[k] : d->rotation[k * d->count + i];
 }
 
-/* 1/s, or less of it near a singularity: s / (s^2 + l^2), l = s0 (1 - s/s0) (Nakamura and Hanafusa 1986). */
-static double inverse_of(double s, double most, double share)
+/* 1/s, or less of it: s / (s^2 + l^2 + mu^2), l = s0 - s near a singularity (as Nakamura and Hanafusa 1986).
+ */
+static double inverse_of(double s, double least, double mu)
 {
-    const double least = share * most, damping = s < least ? least - s : 0;
-    return s / (s * s + damping * damping);
+    const double damping = s < least ? least - s : 0;
+    return s / (s * s + damping * damping + mu * mu);
 }
 
 static void invert_any(td_task_inverse *inverse, const double *j, const double *e, int m, int n,
-                       const bool *held, double share)
+                       const bool *held, const td_task_damping *damping)
 {
     svd d;
+    double along[N], square = 0;
     decompose(&d, j, m, n, held);
     inverse->rank = inverse->damped = 0;
     for (int i = 0; i < n; i++) inverse->step[i] = 0;
     for (int i = 0; i < m; i++) inverse->seen[i] = 0;
     for (int k = 0; k < d.count; k++) {
+        along[k] = 0;
         if (!(d.s[k] > NOTHING * d.largest)) continue;
-        double along = 0;
-        for (int i = 0; i < m && e; i++) along += left(&d, k, i) * e[i];
-        for (int i = 0; i < m; i++) inverse->seen[i] += along * left(&d, k, i);
-        for (int i = 0; i < n; i++) {
-            inverse->basis[inverse->rank * n + i] = right(&d, k, i);
-            inverse->step[i] += along * inverse_of(d.s[k], d.largest, share) * right(&d, k, i);
-        }
+        for (int i = 0; i < m && e; i++) along[k] += left(&d, k, i) * e[i];
+        for (int i = 0; i < m; i++) inverse->seen[i] += along[k] * left(&d, k, i);
+        for (int i = 0; i < n; i++) inverse->basis[inverse->rank * n + i] = right(&d, k, i);
         inverse->rank++;
-        if (d.s[k] < share * d.largest) inverse->damped++;
+        if (d.s[k] < damping->share * d.largest) inverse->damped++;
+        square += along[k] * along[k];
+    }
+    const double mu = sqrt(damping->by_error * square);
+    for (int k = 0; k < d.count; k++) {
+        if (!(d.s[k] > NOTHING * d.largest)) continue;
+        const double by = along[k] * inverse_of(d.s[k], damping->share * d.largest, mu);
+        for (int i = 0; i < n; i++) inverse->step[i] += by * right(&d, k, i);
     }
 }
 
 void td_task_invert(td_task_inverse *inverse, const double *j, const double *e, int m, int n,
-                    const bool *held, double share)
+                    const bool *held, const td_task_damping *damping)
 {
-    if (held || !invert_regular(inverse, j, e, m, n, share)) invert_any(inverse, j, e, m, n, held, share);
+    if (held || !invert_regular(inverse, j, e, m, n, damping)) invert_any(inverse, j, e, m, n, held, damping);
 }
 
 void td_task_pseudo_inverse(double *plus, const double *j, int m, int n, double share)
@@ -195,7 +231,7 @@ void td_task_pseudo_inverse(double *plus, const double *j, int m, int n, double 
     memset(plus, 0, (size_t)(m * n) * sizeof *plus);
     for (int k = 0; k < d.count; k++) {
         if (!(d.s[k] > NOTHING * d.largest)) continue;
-        const double gain = inverse_of(d.s[k], d.largest, share);
+        const double gain = inverse_of(d.s[k], share * d.largest, 0);
         for (int i = 0; i < n; i++)
             for (int r = 0; r < m; r++) plus[i * m + r] += gain * right(&d, k, i) * left(&d, k, r);
     }

@@ -23,6 +23,7 @@ td_visual_servo_options td_visual_servo_options_default(void)
                                      .gain_slope = 5,
                                      .radius_m = 1,
                                      .singular_share = 1e-3,
+                                     .damping = 0.01,
                                      .avoid_limits = true,
                                      .rho = 0.1,
                                      .rho1 = 0.3,
@@ -163,6 +164,7 @@ static td_status check_options(const td_visual_servo_options *o, bool arm, td_er
     TD_TRY(check_number("the gain's slope", o->gain_slope, 0, 1e6, error));
     TD_TRY(check_number("radius_m", o->radius_m, 1e-6, 1e6, error));
     TD_TRY(check_number("the singular share", o->singular_share, 0, 0.5, error));
+    TD_TRY(check_number("the damping", o->damping, 0, 1e6, error));
     TD_TRY(check_number("rho", o->rho, 1e-6, 0.5, error));
     TD_TRY(check_number("rho1", o->rho1, 1e-6, 1, error));
     TD_TRY(check_number("tune", o->tune, 0, 1, error));
@@ -195,7 +197,7 @@ static int reached(double share[6], const double *jacobian, int n, double radius
     td_task_inverse inverse;
     for (int i = 0; i < 6; i++)
         for (int k = 0; k < n; k++) turned[k * 6 + i] = jacobian[i * n + k] * (i < 3 ? radius_m : 1);
-    td_task_invert(&inverse, turned, NULL, n, 6, NULL, 0);
+    td_task_invert(&inverse, turned, NULL, n, 6, NULL, &(td_task_damping){0});
     for (int i = 0; i < 6; i++) {
         double square = inverse.rank == 6;
         for (int r = 0; r < inverse.rank && inverse.rank < 6; r++)
@@ -353,12 +355,13 @@ static td_status find_rates(double *rate, td_servo_report *report, const td_visu
                             const td_plant_state *state, td_error *error)
 {
     const td_visual_servo_options *o = &servo->options;
-    td_task_invert(&m->all, m->jacobian, m->e, m->rows, m->joints, NULL, o->singular_share);
+    const td_task_damping damping = {o->singular_share, servo->eye.robot ? o->damping : 0};
+    td_task_invert(&m->all, m->jacobian, m->e, m->rows, m->joints, NULL, &damping);
     m->free = m->all;
     TD_TRY(apply_law(rate, &report->gain, servo, m, report->at_stop, error));
     if (!servo->eye.robot) return TD_OK;
     while (find_stops(report->at_stop, servo, state, rate)) {
-        td_task_invert(&m->free, m->jacobian, m->e, m->rows, m->joints, report->at_stop, o->singular_share);
+        td_task_invert(&m->free, m->jacobian, m->e, m->rows, m->joints, report->at_stop, &damping);
         TD_TRY(apply_law(rate, &report->gain, servo, m, report->at_stop, error));
     }
     if (o->avoid_limits) avoid(rate, report, servo, m, state);
@@ -439,8 +442,7 @@ static void arrive(td_visual_servo *servo, const td_servo_report *r)
         stop(servo, TD_SERVO_REDUCED, why);
     } else {
         snprintf(why, sizeof why,
-                 "no small motion brings it nearer, yet %s are left; start elsewhere, or use the pose",
-                 rest);
+                 "no small motion brings it nearer, yet %s are left; start elsewhere, or use the pose", rest);
         stop(servo, TD_SERVO_MINIMUM, why);
     }
 }

@@ -76,9 +76,11 @@ typedef struct td_visual_servo_options {
     td_servo_law law;                            /* default own */
     double gain_zero, gain_infinity, gain_slope; /* lambda(0), 1/s; lambda far away, 1/s; slope at 0 as a
                                                     positive number; default 1.5, 0.4, 5 */
-    double radius_m;        /* one radian weighs as much as this many metres; default 1 */
-    double singular_share;  /* of the largest singular value of J: smaller ones are damped; default 1e-3 */
-    bool avoid_limits;      /* default true */
+    double radius_m;       /* one radian weighs as much as this many metres; default 1 */
+    double singular_share; /* of the largest singular value of J: smaller ones are damped; default 1e-3 */
+    double damping;        /* of an arm's J far from the goal: mu^2 = damping |e_c|^2 (Sugihara 2011); default
+                              0.01; 0: ViSP's law, which in a singularity throws joints about */
+    bool avoid_limits;     /* default true */
     double rho, rho1, tune; /* Marey and Chaumette's, share of the range where avoidance begins, share of
                                that after which it is full, and how much it outweighs; 0.1, 0.3, 0.7 */
     td_motion_limits limits;

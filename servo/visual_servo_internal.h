@@ -38,6 +38,13 @@ td_status td_servo_gather(td_servo_features *features, int *index, const td_visu
 
 /* ---- visual_law.c ---- */
 
+/* share: singular values below this share of the largest are damped. by_error: so are all, by mu^2 = by_error
+ * |J J+ e|^2 (Sugihara 2011): far from the goal no joint is sent round for little, near it nothing is lost.
+ */
+typedef struct td_task_damping {
+    double share, by_error;
+} td_task_damping;
+
 /* J+ e of J (rows,columns) and what J can do. */
 typedef struct td_task_inverse {
     int rank;                         /* singular values above 1e-6 of the largest */
@@ -49,7 +56,7 @@ typedef struct td_task_inverse {
 } td_task_inverse;
 /* e may be NULL: then only ranks. held (may be NULL): columns taken for 0. */
 void td_task_invert(td_task_inverse *inverse, const double *j, const double *e, int rows, int columns,
-                    const bool *held, double share);
+                    const bool *held, const td_task_damping *damping);
 /* J+ itself (columns,rows), damped as above. */
 void td_task_pseudo_inverse(double *plus, const double *j, int rows, int columns, double share);
 

@@ -166,6 +166,8 @@ static void test_unreachable(void **unused)
     start(&r, &s, &close, HOME, NULL);
     go_to_end(&r);
     assert_int_equal(r.report.phase, TD_SERVO_UNREACHABLE);
+    assert_non_null(strstr(r.report.reason, "singular"));
+    check_less(fastest(&r), 0.1); /* and it does not swing through the stretched elbow */
     td_robot_free(&robot);
 }
 
@@ -362,7 +364,8 @@ static void test_half_turn(void **unused)
 {
     (void)unused;
     double farthest_m;
-    td_servo_report r = fly(&farthest_m, pose_at(0, 0, 0.75, 0, 0, 0), pose_at(0, 0, 0.75, 0, 0, 3.13), TD_SERVO_POINTS);
+    td_servo_report r =
+        fly(&farthest_m, pose_at(0, 0, 0.75, 0, 0, 0), pose_at(0, 0, 0.75, 0, 0, 3.13), TD_SERVO_POINTS);
     print_message("half a turn, points: %s, as far as %.1f m\n", td_servo_phase_name(r.phase), farthest_m);
     assert_true(farthest_m > 5);
     r = fly(&farthest_m, pose_at(0, 0, 0.75, 0, 0, 0), pose_at(0, 0, 0.75, 0, 0, 3.13), TD_SERVO_POSE);
@@ -392,7 +395,7 @@ int main(void)
         cmocka_unit_test(test_unreachable), cmocka_unit_test(test_reduced),
         cmocka_unit_test(test_diverges),    cmocka_unit_test(test_late),
         cmocka_unit_test(test_bad_views),   cmocka_unit_test(test_bad_goals),
-        cmocka_unit_test(test_half_turn),cmocka_unit_test(test_minimum),
+        cmocka_unit_test(test_half_turn),   cmocka_unit_test(test_minimum),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
