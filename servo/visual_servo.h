@@ -9,7 +9,10 @@
  *     dq = -lambda J+ e,  J = L A (J_camera - J_target),  lambda(x) = a exp(-b x) + c,  x = |J+ e|_inf,
  *
  * with c the gain at infinity, a + c that at zero, -a b the slope at zero. L is taken at s, at s*, or is the
- * mean of both.
+ * mean of both. An arm's J+ is (J'J + mu^2)^-1 J', mu^2 = damping |e_c|^2 (Sugihara 2011): far from the goal
+ * no joint is sent round for little, near it the law is the one above. So is ViSP's; ours is C because
+ * vpServo has no damping, no joints that stand still and no part of e that it cannot reach, and costs 250
+ * libraries; it can be asked for, and the tests hold both to the same numbers.
  *
  * An arm of four joints controls four dimensions of e at most: those that J reaches, e_c = J J+ e.
  * Convergence is judged by e_c; what is left, e - e_c, no motion of the arm takes away, and it is told.
@@ -176,10 +179,10 @@ typedef struct td_servo_sigma {
 /* Where the arm's q meets the goal. sight: what is seen there, with sigma_px or the pose's covariance. link,
  * point_m: the tool's (free camera: point_m in the camera's frame). common: (n,n), n =
  * td_camera_parameter_count + 12, in the order camera's parameters, left perturbation of link_from_camera,
- * left perturbation of target_link_from_target; NULL: exact. It counts where the goal was computed; of a goal
- * that was shown to the camera nothing of it remains. A pose holds the camera's parameters' share in its own
- * covariance, so they are not counted again. Not counted: the arm's own errors; depths, to which the law is
- * blind where e = 0. link_from_target is not needed: a pose of the target's frame in the target link. */
+ * left perturbation of target_link_from_target (free camera: of camera_from_target; link_from_camera's counts
+ * for nothing); NULL: exact. It counts where the goal was computed; of a goal that was shown to the camera
+ * nothing of it remains. Of a pose the camera's parameters' share is in its own covariance, and not counted
+ * again. Not counted: the arm's own errors; depths, to which the law is blind where e = 0. */
 TD_API td_status td_visual_servo_sigma(td_servo_sigma *sigma, const td_visual_servo *servo, const double *q,
                                        const td_servo_sight *sight, int link, const double point_m[3],
                                        const double *common, td_error *error);

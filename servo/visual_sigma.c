@@ -57,7 +57,8 @@ static void add_transforms(effect *f, const double *l, const td_servo_eye *eye, 
     for (int i = 0; i < f->rows; i++)
         for (int k = 0; k < 6; k++)
             for (int j = 0; j < 6; j++) {
-                f->common[i * f->parameters + first + k] += l[6 * i + j] * of_camera[6 * j + k];
+                if (eye->robot)
+                    f->common[i * f->parameters + first + k] += l[6 * i + j] * of_camera[6 * j + k];
                 f->common[i * f->parameters + first + 6 + k] -= l[6 * i + j] * of_target[6 * j + k];
             }
 }

@@ -232,6 +232,7 @@ static void test_six_joints(void **unused)
 static void test_fixed_camera(void **unused)
 {
     (void)unused;
+    check_statistics();
     td_robot *robot = six_joints();
     const double r[9] = {0, 0, -1, 1, 0, 0, 0, -1, 0}, t[3] = {2.5, 0, 0.6};
     scene s = {.eye = {.camera = lens(),
@@ -247,6 +248,7 @@ static void test_fixed_camera(void **unused)
 static void test_excavator(void **unused)
 {
     (void)unused;
+    check_statistics();
     td_robot *robot = excavator();
     scene s = {.eye = {.camera = lens(),
                        .robot = robot,

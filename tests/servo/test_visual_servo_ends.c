@@ -220,6 +220,30 @@ static void test_diverges(void **unused)
     td_robot_free(&robot);
 }
 
+/* Oil, when it is asked for: what the rates need of it. */
+static void test_flows(void **unused)
+{
+    (void)unused;
+    static const double home[4] = {0.3, -0.3, 1.5, 0.9}, from[4] = {0.2, -0.4, 1.7, 0.8};
+    td_robot *robot = excavator();
+    scene s = bench_scene(robot, home, 4);
+    td_plant_command flows;
+    run r;
+    td_visual_servo_options o = td_visual_servo_options_default();
+    o.command = TD_COMMAND_FLOW;
+    const td_servo_sight goal = view_at(&s, home, NULL), here = view_at(&s, from, NULL);
+    start(&r, &s, &goal, from, &o);
+    for (int i = 0; i < 5; i++)
+        check_ok(td_visual_servo_step(&r.report, &r.servo, &here, &r.state, &r.error), r.error);
+    assert_int_equal(r.report.command.kind, TD_COMMAND_FLOW);
+    assert_true(td_rates_command(&flows, TD_COMMAND_FLOW, robot, from, r.servo.rate));
+    for (int k = 0; k < 4; k++) {
+        check_near(r.report.command.value[k], flows.value[k], 0);
+        assert_true(k == 0 || fabs(flows.value[k]) < 0.1 * fabs(r.servo.rate[k]));
+    }
+    td_robot_free(&robot);
+}
+
 static void test_late(void **unused)
 {
     (void)unused;
@@ -394,8 +418,9 @@ int main(void)
         cmocka_unit_test(test_hidden),      cmocka_unit_test(test_points_missing),
         cmocka_unit_test(test_unreachable), cmocka_unit_test(test_reduced),
         cmocka_unit_test(test_diverges),    cmocka_unit_test(test_late),
-        cmocka_unit_test(test_bad_views),   cmocka_unit_test(test_bad_goals),
-        cmocka_unit_test(test_half_turn),   cmocka_unit_test(test_minimum),
+        cmocka_unit_test(test_flows),       cmocka_unit_test(test_bad_views),
+        cmocka_unit_test(test_bad_goals),   cmocka_unit_test(test_half_turn),
+        cmocka_unit_test(test_minimum),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -195,6 +195,7 @@ static void run_common(const char *name, world *w)
 static void test_common(void **unused)
 {
     (void)unused;
+    check_statistics();
     td_robot *six = six_joints(), *four = excavator();
     world w = six_world(six);
     run_common("common, six joints", &w);
@@ -265,6 +266,7 @@ static void run_noise(const char *name, world *w, double gain, double lag_s)
 static void test_noise(void **unused)
 {
     (void)unused;
+    check_statistics();
     td_robot *six = six_joints(), *four = excavator();
     world w = six_world(six);
     run_noise("noise, six joints, lag 50 ms", &w, 5, 0.05);
@@ -296,13 +298,61 @@ static void test_one_image(void **unused)
     td_robot_free(&six);
 }
 
+/* The free camera: a point's noise and the target's perturbation, moved by hand through one step of the law.
+ */
+static void test_free_camera(void **unused)
+{
+    (void)unused;
+    scene s = {.eye = {.camera = lens()}};
+    const td_pose there = pose_at(0.05, -0.03, 0.75, 0.3, 0.2, 0.1);
+    const double tip_m[3] = {0.1, 0.05, 0.3}, zero[6] = {0};
+    td_visual_servo_options o = td_visual_servo_options_default();
+    td_visual_servo servo;
+    td_servo_report r;
+    td_servo_sigma sigma;
+    td_error error = {0};
+    double common[COMMON * COMMON] = {0}, image[9] = {0}, moved[9] = {0};
+    square_target(&s, 0.1);
+    s.sigma_px = 1;
+    td_servo_sight goal = view_from(&s, &there, NULL);
+    o.gain_zero = o.gain_infinity = 50; /* all of it within a period */
+    o.singular_share = 0;
+    for (int k = 0; k < 18; k++) {
+        td_servo_sight sight = goal;
+        const double step = 1e-5;
+        if (k < 8) sight.point[k / 2].pixel[k % 2] += step;
+        if (k >= 12) {
+            double xi[6] = {0};
+            xi[k - 12] = step;
+            const td_pose at = td_pose_perturb(&there, xi);
+            sight = view_from(&s, &at, NULL);
+        }
+        if (k >= 8 && k < 12) continue;
+        check_ok(td_visual_servo_start(&servo, &s.eye, &goal, &o, &error), error);
+        check_ok(td_visual_servo_step(&r, &servo, &sight, NULL, &error), error);
+        double by[18], p[3];
+        td_pose_transform_jacobian(by, tip_m);
+        for (int i = 0; i < 3; i++) {
+            p[i] = 0;
+            for (int j = 0; j < 6; j++) p[i] += by[6 * i + j] * r.twist[j] * 0.02 / step;
+        }
+        for (int i = 0; i < 9; i++) (k < 8 ? image : moved)[i] += p[i / 3] * p[i % 3];
+    }
+    for (int k = CAMERA + 6; k < COMMON; k++) common[k * (COMMON + 1)] = 1;
+    for (int k = CAMERA; k < CAMERA + 6; k++) common[k * (COMMON + 1)] = 5; /* counts for nothing */
+    check_ok(td_visual_servo_sigma(&sigma, &servo, zero, &goal, 0, tip_m, common, &error), error);
+    for (int i = 0; i < 9; i++) {
+        check_near(sigma.image[i], image[i], 1e-4 * (image[0] + image[4] + image[8]));
+        check_near(sigma.common[i], moved[i], 1e-4 * (moved[0] + moved[4] + moved[8]));
+    }
+    assert_true(sigma.common[0] > 0.1 && sigma.image[0] > 0);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_common),
-        cmocka_unit_test(test_common_pose),
-        cmocka_unit_test(test_noise),
-        cmocka_unit_test(test_one_image),
+        cmocka_unit_test(test_common),    cmocka_unit_test(test_common_pose), cmocka_unit_test(test_noise),
+        cmocka_unit_test(test_one_image), cmocka_unit_test(test_free_camera),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
