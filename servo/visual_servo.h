@@ -10,9 +10,10 @@
  *
  * with c the gain at infinity, a + c that at zero, -a b the slope at zero. L is taken at s, at s*, or is the
  * mean of both. An arm's J+ is (J'J + mu^2)^-1 J', mu^2 = damping |e_c|^2 (Sugihara 2011): far from the goal
- * no joint is sent round for little, near it the law is the one above. So is ViSP's; ours is C because
- * vpServo has no damping, no joints that stand still and no part of e that it cannot reach, and costs 250
- * libraries; it can be asked for, and the tests hold both to the same numbers.
+ * no joint is sent round for little, near it the law is the one above.
+ * ViSP's vpServo gives the same numbers and can be asked for. Ours is the rule because vpServo knows no
+ * damping, no joints that stand still and no e that is out of reach, and takes 250 libraries and many times
+ * as long.
  *
  * An arm of four joints controls four dimensions of e at most: those that J reaches, e_c = J J+ e.
  * Convergence is judged by e_c; what is left, e - e_c, no motion of the arm takes away, and it is told.
