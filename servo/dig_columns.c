@@ -320,3 +320,8 @@ double dig_highest(const dig_job *job, const double at[2], double radius)
     }
     return highest;
 }
+
+double dig_below(const dig_job *job, const double at[2])
+{
+    return dig_highest(job, at, (job->request->bucket->width_m + job->heel_m) / 2);
+}

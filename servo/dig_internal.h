@@ -74,6 +74,8 @@ double dig_plane_of(const dig_job *job, const dig_lane *lane, double volume);
 double dig_cut(dig_job *job, const dig_lane *lane, double from, double to, double g, double *depth_m);
 /* Highest known ground within `radius` of a place; -INFINITY: none. With the heap that is being dumped. */
 double dig_highest(const dig_job *job, const double at[2], double radius);
+/* The same below the bucket, whichever way it points. */
+double dig_below(const dig_job *job, const double at[2]);
 
 /* ---- dig_reach.c: where the machine can go ---- */
 

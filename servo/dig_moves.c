@@ -6,7 +6,8 @@
 #include "servo/dig_internal.h"
 
 static const double DEGREE = 0.017453292519943295;
-static const double EMPTY_RAD = 5 * 0.017453292519943295; /* more than what empties the bucket */
+static const double EMPTY_RAD = 2 * 0.017453292519943295; /* more than what empties the bucket */
+static const double SPARE_RAD = 10 * 0.017453292519943295; /* less than the tilt at which it spills */
 enum { RAISES = 12 };
 
 static td_status add_move(td_dig_plan *plan, td_dig_phase phase, const dig_pass *pass, const dig_job *job,
@@ -97,21 +98,43 @@ static td_status go_above(td_dig_plan *plan, dig_job *job, dig_drag *d, const di
     return not_clear("way back", pass, error);
 }
 
-/* Where the bucket is over the dump with its mouth upright, above the heap; then opened. */
-static bool over_dump(dig_pose *over, dig_pose *open, double *q_over, double *q_open, const dig_job *job,
-                      double raised)
+/* Where the bucket comes to the dump, `tilt` from upright and `short_m` before the point, above the heap; then
+ * opened over the point. */
+static bool come_and_open(dig_pose *over, dig_pose *open, double *q_over, double *q_open, const dig_job *job,
+                          double tilt, double short_m)
 {
     td_dig_reason reason;
-    const size_t size = (size_t)job->robot->joint_count * sizeof *q_over;
-    memcpy(over->at, job->dump, sizeof over->at);
-    over->pitch = job->upright_rad;
-    const double ground = dig_highest(job, over->at, job->request->bucket->width_m / 2);
-    over->at[2] = fmax(over->at[2], ground + job->o.clear_m + dig_shell(job, over->pitch)) + raised;
-    *open = *over;
-    open->pitch = job->upright_rad - (90 * DEGREE + job->o.repose_rad + EMPTY_RAD);
+    double edge[3];
+    dig_edge(edge, job, open->at);
+    const double across = hypot(edge[0], edge[1]);
+    over->pitch = job->upright_rad - tilt;
+    over->at[0] = open->at[0] - short_m * edge[1] / across; /* the edge lies to the left of the arm */
+    over->at[1] = open->at[1] + short_m * edge[0] / across;
+    const double ground = dig_below(job, over->at);
+    open->at[2] = fmax(open->at[2], ground + job->o.clear_m + dig_shell(job, over->pitch));
+    over->at[2] = open->at[2];
     if (!dig_line(q_over, job, over, over, &reason)) return false;
-    memcpy(q_open, q_over, size);
+    memcpy(q_open, q_over, (size_t)job->robot->joint_count * sizeof *q_open);
     return dig_line(q_open, job, over, open, &reason);
+}
+
+/* An arm that holds a full bucket out far enough to empty it there is not always long enough: it then opens
+ * on the way out. */
+static bool over_dump(dig_pose *over, dig_pose *open, double *q_over, double *q_open, const dig_job *job,
+                      const double *q, double raised)
+{
+    const size_t size = (size_t)job->robot->joint_count * sizeof *q;
+    const double ground = dig_below(job, job->dump);
+    const double tilt = fmin(job->o.tilt_deg * DEGREE, job->o.repose_rad) - SPARE_RAD;
+    for (int back = 0; back <= 8; back++)
+        for (int tilted = 0; tilted <= (tilt > 0 ? 2 : 0); tilted++) {
+            memcpy(open->at, job->dump, sizeof open->at);
+            open->at[2] = fmax(open->at[2], ground + job->o.clear_m) + raised;
+            open->pitch = job->upright_rad - (90 * DEGREE + job->o.repose_rad + EMPTY_RAD);
+            memcpy(q_over, q, size);
+            if (come_and_open(over, open, q_over, q_open, job, tilt * tilted / 2, 0.2 * back)) return true;
+        }
+    return false;
 }
 
 static td_status carry(td_dig_plan *plan, dig_job *job, dig_drag *d, const dig_pass *pass, double *q,
@@ -122,8 +145,7 @@ static td_status carry(td_dig_plan *plan, dig_job *job, dig_drag *d, const dig_p
     dig_pose over, open;
     td_dig_reason reason;
     for (int i = 0; i < RAISES; i++) {
-        memcpy(q_over, d->q_up, size);
-        if (!over_dump(&over, &open, q_over, q_open, job, raised))
+        if (!over_dump(&over, &open, q_over, q_open, job, d->q_up, raised))
             return td_fail(
                 error, TD_ERROR_DATA,
                 "dump: the bucket cannot be emptied %.2f m above (%.2f, %.2f) m, as the ground and "
