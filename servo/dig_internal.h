@@ -40,6 +40,7 @@ typedef struct dig_pose {
 typedef struct dig_cell {
     size_t index;
     double a, t, floor; /* place, and the floor's height there */
+    double met;         /* where along the lane the edge's middle is when it passes */
     bool inside;        /* the trench */
 } dig_cell;
 
@@ -90,8 +91,9 @@ bool dig_reach(double *q, const dig_job *job, const dig_pose *pose);
 bool dig_arm_clear(const dig_job *job, const double *q);
 /* A straight way of the tool, its samples reached and clear. `reason` says what is not. */
 bool dig_line(double *q, const dig_job *job, const dig_pose *from, const dig_pose *to, td_dig_reason *reason);
-/* Between two postures by the joints in one line: by how much the bucket is too low, m; at most 0: clear. */
-double dig_too_low(const dig_job *job, const double *from, const double *to);
+/* Between two postures by the joints in one line: by how much the bucket is too low, m; at most 0: clear.
+ * `where`: the share of the way at which it is lowest. */
+double dig_too_low(double *where, const dig_job *job, const double *from, const double *to);
 /* Where the tool is. */
 void dig_pose_of(dig_pose *pose, const dig_job *job, const double *q);
 /* How far the shell reaches below the edge at a pitch, m. */

@@ -258,7 +258,7 @@ void dig_pose_of(dig_pose *pose, const dig_job *job, const double *q)
     *pose = tool_at(job, at);
 }
 
-double dig_too_low(const dig_job *job, const double *from, const double *to)
+double dig_too_low(double *where, const dig_job *job, const double *from, const double *to)
 {
     enum { PARTS = 40 };
     td_pose at[TD_ROBOT_MAX_LINKS];
@@ -272,7 +272,12 @@ double dig_too_low(const dig_job *job, const double *from, const double *to)
         ground[i] = dig_below(job, p.at);
         highest = fmax(highest, ground[i]);
     }
-    for (int i = 0; i <= PARTS; i++) /* over unknown ground the highest that is known on the way counts */
-        worst = fmax(worst, (isinf(ground[i]) ? highest : ground[i]) + job->o.clear_m - lowest[i]);
+    *where = 0;
+    for (int i = 0; i <= PARTS; i++) { /* over unknown ground the highest that is known on the way counts */
+        const double low = (isinf(ground[i]) ? highest : ground[i]) + job->o.clear_m - lowest[i];
+        if (!(low > worst)) continue;
+        worst = low;
+        *where = (double)i / PARTS;
+    }
     return worst;
 }

@@ -35,7 +35,8 @@ static void make_map(scene *s, double slope_x, double slope_y, double bump_m)
     for (int r = 0; r < size; r++)
         for (int c = 0; c < size; c++) {
             const double x = origin[0] + c * cell, y = origin[1] + r * cell;
-            const double bump = sin(2.9 * x + 1.3 * y) + 0.7 * sin(5.3 * y - 3.7 * x + 1) + 0.4 * sin(11 * x + 7 * y);
+            const double bump =
+                sin(2.9 * x + 1.3 * y) + 0.7 * sin(5.3 * y - 3.7 * x + 1) + 0.4 * sin(11 * x + 7 * y);
             s->map->height[r * size + c] = (float)(slope_x * x + slope_y * y + bump_m * bump / 2.1);
             s->map->provenance[r * size + c] = TD_CELL_MEASURED;
         }
@@ -80,7 +81,8 @@ static scene make_scene(double slope_x, double slope_y, double bump_m)
     s.bucket = dig_bucket(s.robot, &s.soil_bucket);
     snprintf(path, sizeof path, "%s/datasets/soils/dirt_1.yaml", TD_SOURCE_DIR);
     check_ok(td_soil_preset_read(&s.soil, path, &error), error);
-    s.dig = (td_task_dig){.from = {.at_m = {7, 0, 7 * slope_x}}, .length_m = 2.4, .depth_m = 0.5, .force_n = INFINITY};
+    s.dig = (td_task_dig){
+        .from = {.at_m = {7, 0, 7 * slope_x}}, .length_m = 2.4, .depth_m = 0.5, .force_n = INFINITY};
     s.dump = (td_task_point){.at_m = {0.5, 6, 6 * slope_y}};
     return s;
 }
@@ -176,15 +178,22 @@ static replayed replay(const scene *s, const td_dig_plan *plan)
             check_ok(td_soil_step(soil, &pose, 0.02, &error), error);
             td_soil_get(&now, soil);
             r.fullest_m3 = fmax(r.fullest_m3, (double)now.bucket_mg * mg_m3 * s->soil.swell);
-            if (!m->contact && m->phase != TD_DIG_LIFT && now.in_soil) r.unplanned_depth_m = fmax(r.unplanned_depth_m, now.depth_m);
+            if (!m->contact && m->phase != TD_DIG_LIFT && now.in_soil)
+                r.unplanned_depth_m = fmax(r.unplanned_depth_m, now.depth_m);
         }
         r.time_s += duration;
         td_trajectory_free(&t);
         const double gained = (double)(now.bucket_mg - before) * mg_m3;
-        if (getenv("DIG_TALK")) printf("%2d.%d %-8s %5.1f s  bucket %+.3f -> %.3f m3 loose; planned %.3f, cut %.3f, depth %.2f\n", m->pass, m->lane, td_dig_phase_name(m->phase), duration, gained * s->soil.swell, (double)now.bucket_mg * mg_m3 * s->soil.swell, m->load_m3, m->cut_m3, m->depth_m);
-        if (m->phase == TD_DIG_CUT) r.dug_m3 += gained;
-        else if (m->phase == TD_DIG_DUMP) r.dumped_m3 -= gained * s->soil.swell;
-        else r.spilt_m3 -= gained * s->soil.swell;
+        if (getenv("DIG_TALK"))
+            printf("%2d.%d %-8s %5.1f s  bucket %+.3f -> %.3f m3 loose; planned %.3f, cut %.3f, depth %.2f\n",
+                   m->pass, m->lane, td_dig_phase_name(m->phase), duration, gained * s->soil.swell,
+                   (double)now.bucket_mg * mg_m3 * s->soil.swell, m->load_m3, m->cut_m3, m->depth_m);
+        if (m->phase == TD_DIG_CUT)
+            r.dug_m3 += gained;
+        else if (m->phase == TD_DIG_DUMP)
+            r.dumped_m3 -= gained * s->soil.swell;
+        else
+            r.spilt_m3 -= gained * s->soil.swell;
     }
     check_ok(td_soil_settle(soil, &error), error);
     if (td_soil_balance_of(soil).total_mg != total) fail_msg("soil was lost or made");
@@ -194,16 +203,19 @@ static replayed replay(const scene *s, const td_dig_plan *plan)
 }
 
 /* Place of a cell in the trench. */
-static bool in_trench(double *floor, const td_dig_floor *f, const td_elevation *m, int column, int row, double rim)
+static bool in_trench(double *floor, const td_dig_floor *f, const td_elevation *m, int column, int row,
+                      double rim)
 {
-    const double x = m->origin[0] + column * m->cell_m - f->start[0], y = m->origin[1] + row * m->cell_m - f->start[1];
+    const double x = m->origin[0] + column * m->cell_m - f->start[0],
+                 y = m->origin[1] + row * m->cell_m - f->start[1];
     const double a = x * cos(f->heading_rad) + y * sin(f->heading_rad);
     const double t = y * cos(f->heading_rad) - x * sin(f->heading_rad);
     *floor = f->start[2] + a * f->along + t * f->across;
     return a >= rim && a <= f->length_m - rim && fabs(t) <= f->width_m / 2 - rim;
 }
 
-/* By how much a map is above or below the floor inside the trench, `rim` from its walls: RMS, m; and what stands above it, m^3. */
+/* By how much a map is above or below the floor inside the trench, `rim` from its walls: RMS, m; and what
+ * stands above it, m^3. */
 static double floor_off(double *above_m3, const td_dig_floor *f, const td_elevation *m, double rim)
 {
     double n = 0, sum = 0, volume = 0, floor;
