@@ -103,11 +103,14 @@ double dig_shell(const dig_job *job, double pitch);
 
 typedef struct dig_drag {
     double from, to, g;
-    double top;                        /* ground above its far end, highest */
-    dig_pose above, over, in, out, up; /* return to; approach to; bottom; end; lifted */
+    double top; /* ground above its far end, highest */
+    /* Return to; approach to; bottom of the far end; end; off the near wall; lifted. */
+    dig_pose above, over, in, out, off, up;
     double q_above[TD_ROBOT_MAX_JOINTS], q_over[TD_ROBOT_MAX_JOINTS], q_in[TD_ROBOT_MAX_JOINTS],
-        q_out[TD_ROBOT_MAX_JOINTS], q_up[TD_ROBOT_MAX_JOINTS];
+        q_out[TD_ROBOT_MAX_JOINTS], q_off[TD_ROBOT_MAX_JOINTS], q_up[TD_ROBOT_MAX_JOINTS];
 } dig_drag;
+/* From upright, of the mouth of a full bucket that is carried, at most. */
+double dig_carry_tilt(const dig_job *job);
 /* The drag from drag->from to drag->to; `fails`: the place along at which it is not reached. */
 bool dig_drag_whole(dig_drag *drag, const dig_job *job, const dig_lane *lane, td_dig_reason *reason,
                     double *fails);

@@ -6,8 +6,7 @@
 #include "servo/dig_internal.h"
 
 static const double DEGREE = 0.017453292519943295;
-static const double EMPTY_RAD = 2 * 0.017453292519943295;  /* more than what empties the bucket */
-static const double SPARE_RAD = 10 * 0.017453292519943295; /* less than the tilt at which it spills */
+static const double EMPTY_RAD = 2 * 0.017453292519943295; /* more than what empties the bucket */
 static const double RAISE_M = 0.02;
 enum { RAISES = 20 };
 
@@ -125,7 +124,7 @@ static bool over_dump(dig_pose *over, dig_pose *open, double *q_over, double *q_
                       const double *q, double raised)
 {
     const double ground = dig_below(job, job->dump);
-    const double tilt = fmin(job->o.tilt_deg * DEGREE, job->o.repose_rad) - SPARE_RAD;
+    const double tilt = dig_carry_tilt(job);
     for (int back = 0; back <= 8; back++)
         for (int tilted = 0; tilted <= (tilt > 0 ? 2 : 0); tilted++) {
             memcpy(open->at, job->dump, sizeof open->at);
@@ -152,6 +151,7 @@ static td_status carry(td_dig_plan *plan, dig_job *job, dig_drag *d, const dig_p
                 over.at[2] - job->dump_ground, over.at[0], over.at[1]);
         const double low = dig_too_low(&where, job, d->q_up, q_over);
         if (low <= 0) {
+            TD_TRY(add_line(plan, TD_DIG_LIFT, pass, job, &d->off, d->q_off, error));
             TD_TRY(add_line(plan, TD_DIG_LIFT, pass, job, &d->up, d->q_up, error));
             TD_TRY(add_joints(plan, TD_DIG_CARRY, pass, job, q_over, error));
             memcpy(q, q_open, (size_t)job->robot->joint_count * sizeof *q);

@@ -26,7 +26,7 @@ typedef struct scene {
     td_dig_request request;
 } scene;
 
-/* Ground at z = slope_x x + slope_y y + bumps, 14 m by 14 m around the machine. */
+/* Ground at z = slope_x x + slope_y y + bumps, 18 m by 18 m around the machine. */
 static void make_map(scene *s, double slope_x, double slope_y, double bump_m)
 {
     const int size = 361;
@@ -70,12 +70,12 @@ static td_dig_bucket dig_bucket(const td_robot *robot, const td_soil_bucket *b)
 }
 
 /* A trench 1.1 m wide, 2.4 m long, 0.5 m deep, 7 m before the machine; dumped to its left. */
-static scene make_scene(double slope_x, double slope_y, double bump_m)
+static scene make_scene(double slope_x, double slope_y, double bump_m, double yaw)
 {
     char path[1024];
     scene s = {.robot = excavator(), .q = {0.3, -0.8, 1.9, 1.0}};
     make_map(&s, slope_x, slope_y, bump_m);
-    s.site_from_vehicle = standing(slope_x, slope_y, 0);
+    s.site_from_vehicle = standing(slope_x, slope_y, yaw);
     s.tool = tool_of(s.robot, "bucket_tip", 4, 0);
     s.soil_bucket = td_soil_bucket_zx200();
     s.bucket = dig_bucket(s.robot, &s.soil_bucket);
@@ -143,51 +143,84 @@ static td_trajectory *motion_of(const scene *s, const td_dig_move *m, double *q)
 }
 
 typedef struct replayed {
-    double dug_m3, dumped_m3, spilt_m3, fullest_m3; /* of the bank; loose; loose; loose */
-    double time_s, unplanned_depth_m;
+    double dug_m3;                          /* of the bank */
+    double dumped_m3, spilt_m3, fullest_m3; /* loose; the fullest bucket */
+    double touched_m;                       /* deepest that the edge was in the ground where none is meant */
+    double heel_m;                          /* least height of the bucket's heel over the ground in drags */
+    double cutting_n[3];                    /* going in, dragged, lifted: most */
+    double time_s;
     td_elevation *map; /* after it */
 } replayed;
 
-static td_pose site_from_bucket(const scene *s, const double *q)
+/* A sample of a motion: within the robot's limits, 0.02 inside once the plan has begun. */
+static td_pose step_along(const scene *s, const td_trajectory *t, double time, bool begun)
 {
+    double q[4];
     td_pose at[TD_ROBOT_MAX_LINKS];
+    td_trajectory_at(q, NULL, NULL, t, time);
+    for (int k = 0; k < 4; k++) {
+        const double spare = begun ? 0.02 : 0;
+        if (!(q[k] >= s->robot->joint[k].lower + spare && q[k] <= s->robot->joint[k].upper - spare))
+            fail_msg("joint %d at %g", k, q[k]);
+    }
     td_robot_forward(at, s->robot, q);
     return td_pose_compose(&s->site_from_vehicle, at + s->bucket.link);
 }
 
-/* The motions of a plan, 20 ms apart, through the soil of the map. */
-static replayed replay(const scene *s, const td_dig_plan *plan)
+static void look(replayed *r, const scene *s, const td_dig_move *m, const td_soil *soil,
+                 const td_pose *bucket)
 {
-    replayed r = {0};
+    td_soil_state now;
+    double heel[3];
+    td_soil_get(&now, soil);
+    r->fullest_m3 = fmax(r->fullest_m3, (double)now.bucket_mg * 1e-6 / s->soil.density_kg_m3 * s->soil.swell);
+    double *cutting = r->cutting_n + (m->phase == TD_DIG_LIFT ? 2 : m->cut_m3 > 0 ? 1 : 0);
+    *cutting = fmax(*cutting, now.cutting_n);
+    if (!m->contact && m->phase != TD_DIG_LIFT && now.in_soil) r->touched_m = fmax(r->touched_m, now.depth_m);
+    if (m->cut_m3 > 0) {
+        td_pose_transform(heel, bucket, s->bucket.heel);
+        r->heel_m = fmin(r->heel_m, heel[2] - td_soil_height_at(soil, heel[0], heel[1]));
+    }
+}
+
+/* Each move's end is where the plan says, by joints and in the site. */
+static void ends_as_planned(const scene *s, const td_dig_move *m, const double *q)
+{
+    td_pose at[TD_ROBOT_MAX_LINKS];
+    for (int k = 0; k < 4; k++) check_near(q[k], m->q[k], 1e-3);
+    if (m->position.joint_count) return;
+    td_robot_forward(at, s->robot, q);
+    const td_pose tool = td_pose_compose(&s->site_from_vehicle, at + s->tool.link);
+    for (int k = 0; k < 3; k++) check_near(tool.t[k], m->position.to.at_m[k], 1e-3);
+}
+
+/* The motions of the first passes of a plan, 20 ms apart, through the soil of a map. */
+static replayed replay(const scene *s, const td_elevation *map, const td_dig_plan *plan, int passes)
+{
+    replayed r = {.heel_m = INFINITY};
     td_soil *soil = NULL;
     td_soil_state now;
-    double q[4], mg_m3 = 1e-6 / s->soil.density_kg_m3;
-    check_ok(td_soil_new(&soil, s->map, &s->soil, &s->soil_bucket, NULL, &error), error);
+    double q[4];
+    const double mg_m3 = 1e-6 / s->soil.density_kg_m3;
+    check_ok(td_soil_new(&soil, map, &s->soil, &s->soil_bucket, NULL, &error), error);
     const int64_t total = td_soil_balance_of(soil).total_mg;
     memcpy(q, s->q, sizeof q);
-    for (int i = 0; i < plan->move_count; i++) {
+    for (int i = 0; i < plan->move_count && plan->move[i].pass < passes; i++) {
         const td_dig_move *m = plan->move + i;
         td_soil_get(&now, soil);
         const int64_t before = now.bucket_mg;
         td_trajectory *t = motion_of(s, m, q);
         const double duration = td_trajectory_duration(t);
         for (double time = 0.02; time < duration + 0.02; time += 0.02) {
-            double at[4];
-            td_trajectory_at(at, NULL, NULL, t, fmin(time, duration));
-            const td_pose pose = site_from_bucket(s, at);
-            check_ok(td_soil_step(soil, &pose, 0.02, &error), error);
-            td_soil_get(&now, soil);
-            r.fullest_m3 = fmax(r.fullest_m3, (double)now.bucket_mg * mg_m3 * s->soil.swell);
-            if (!m->contact && m->phase != TD_DIG_LIFT && now.in_soil)
-                r.unplanned_depth_m = fmax(r.unplanned_depth_m, now.depth_m);
+            const td_pose bucket = step_along(s, t, fmin(time, duration), i > 0);
+            check_ok(td_soil_step(soil, &bucket, 0.02, &error), error);
+            look(&r, s, m, soil, &bucket);
         }
+        ends_as_planned(s, m, q);
         r.time_s += duration;
         td_trajectory_free(&t);
+        td_soil_get(&now, soil);
         const double gained = (double)(now.bucket_mg - before) * mg_m3;
-        if (getenv("DIG_TALK"))
-            printf("%2d.%d %-8s %5.1f s  bucket %+.3f -> %.3f m3 loose; planned %.3f, cut %.3f, depth %.2f\n",
-                   m->pass, m->lane, td_dig_phase_name(m->phase), duration, gained * s->soil.swell,
-                   (double)now.bucket_mg * mg_m3 * s->soil.swell, m->load_m3, m->cut_m3, m->depth_m);
         if (m->phase == TD_DIG_CUT)
             r.dug_m3 += gained;
         else if (m->phase == TD_DIG_DUMP)
