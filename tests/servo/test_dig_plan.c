@@ -121,6 +121,7 @@ static void trenches_are_dug_as_planned(void **state)
         td_dig_plan *plan = NULL, *again = NULL;
         check_ok(td_dig_plan_make(&plan, request_of(&s), NULL, &error), error);
         volumes_are_the_columns(&s, plan);
+        if (CASE[i].bump_m == 0) check_near(plan->depth_m, CASE[i].depth, 1e-3); /* parallel to the ground */
         replayed r = replay(&s, s.map, plan, plan->pass_count);
         soil_agrees(&s, plan, &r, CASE[i].name);
         /* What is left is no pass's worth. */
@@ -180,6 +181,25 @@ static void frames_agree(void **state)
     check_near(plan[2]->cut_m3, plan[0]->cut_m3, 1e-6);
     check_near(plan[2]->floor.heading_rad, plan[0]->floor.heading_rad, 1e-9);
     for (int i = 0; i < 3; i++) td_dig_plan_free(plan + i);
+    free_scene(&s);
+}
+
+/* A wall 1.5 m high between trench and dump is passed over, there and back. */
+static void ways_go_over_what_stands(void **state)
+{
+    (void)state;
+    scene s = make_scene(0, 0, 0, 0);
+    td_dig_plan *plan = NULL;
+    for (int r = 0; r < s.map->rows; r++)
+        for (int c = 0; c < s.map->columns; c++) {
+            const double x = s.map->origin[0] + 0.05 * c, y = s.map->origin[1] + 0.05 * r;
+            if (x > 2 && fabs(x - y) < 0.3) s.map->height[r * s.map->columns + c] = 1.5F;
+        }
+    check_ok(td_dig_plan_make(&plan, request_of(&s), NULL, &error), error);
+    replayed r = replay(&s, s.map, plan, 2);
+    check_less(r.touched_m, 1e-9);
+    td_elevation_free(&r.map);
+    td_dig_plan_free(&plan);
     free_scene(&s);
 }
 
@@ -308,6 +328,7 @@ int main(void)
     const struct CMUnitTest tests[] = {cmocka_unit_test(trenches_are_dug_as_planned),
                                        cmocka_unit_test(what_is_left_is_planned_anew),
                                        cmocka_unit_test(frames_agree),
+                                       cmocka_unit_test(ways_go_over_what_stands),
                                        cmocka_unit_test(places_are_refused_by_name),
                                        cmocka_unit_test(numbers_are_refused_by_name),
                                        cmocka_unit_test(what_is_out_of_reach_is_left_and_told)};
