@@ -32,8 +32,8 @@ typedef struct ground_case {
 static const ground_case CASE[] = {{"rough", 0.02, -0.03, 0.12, 0.4, 6.5, 2, 2.2, 0.6, 0, NAN, 5, -4},
                                    {"slope", 0.1, 0.06, 0, 0, 7, 0.5, 2.4, 0.5, 0, NAN, 0.5, 6},
                                    {"flat", 0, 0, 0, 0, 7, 0, 2.4, 0.5, 0, NAN, 0.5, 6},
-                                   {"pit", -0.05, 0.03, 0.05, 0, 7, 0.3, 2.0, 0.6, 2.4, 180, 0.5, -6},
-                                   {"deep", 0, 0, 0, 0, 7, 0, 3, 1.1, 0, NAN, -3, 5.5},
+                                   {"pit", -0.05, 0.03, 0.05, 0, 7, 0.3, 2.0, 0.4, 2.4, 180, 0.5, -6},
+                                   {"deep", 0, 0, 0, 0, 7, 0, 2.2, 1, 0, NAN, -3, 5.5},
                                    {"askew", 0, 0, 0.03, 0, 6.8, 1.5, 2.4, 0.5, 0, 180, 0.5, -6}};
 
 static double ground_of(const ground_case *c, double x, double y)
@@ -184,7 +184,7 @@ static void frames_agree(void **state)
     free_scene(&s);
 }
 
-/* A wall 1.5 m high between trench and dump is passed over, there and back. */
+/* A wall 1.5 m high between trench and dump is passed over. */
 static void ways_go_over_what_stands(void **state)
 {
     (void)state;
@@ -196,7 +196,7 @@ static void ways_go_over_what_stands(void **state)
             if (x > 2 && fabs(x - y) < 0.3) s.map->height[r * s.map->columns + c] = 1.5F;
         }
     check_ok(td_dig_plan_make(&plan, request_of(&s), NULL, &error), error);
-    replayed r = replay(&s, s.map, plan, 2);
+    replayed r = replay(&s, s.map, plan, 1);
     check_less(r.touched_m, 1e-9);
     td_elevation_free(&r.map);
     td_dig_plan_free(&plan);
