@@ -171,7 +171,10 @@ static void find_slope(td_frame_cell *cell, const td_frame_cells *c, const td_fr
         cell->relief = fmax(0, (zz - g[0] * xz - g[1] * yz) / fmax(n - 3, 1) - matching);
         noise = (matching + cell->relief) * fmax(xx, yy) / det;
         const double sure = ground / (ground + noise), held[2] = {sure * g[0], sure * g[1]};
-        if (faces_away(held, cell, c, tile)) cell->smear = fmax(0, zz / n - matching);
+        if (faces_away(held, cell, c, tile)) {
+            cell->smear = fmax(0, zz / n - matching);
+            if (cell->smear > EXPECTED_SCATTER * matching) noise = INFINITY;
+        }
     }
     const double trust = ground / (ground + noise), length = trust * hypot(g[0], g[1]);
     const double held = trust * (length > STEEPEST ? STEEPEST / length : 1);
