@@ -19,8 +19,8 @@
  * - edges: the variance that fusion_edge.c gives the points besides;
  * - smear: what the camera sees is turned towards it. Where the plane around is turned less than LEAST_FACING
  * of what level ground is, or away, the points hang in the air between an edge and what lies behind it: a
- * slope along the ray once more. No slope is known there, and the variance of the heights around counts
- * whole. */
+ * slope along the ray once more. The variance of the heights around counts whole, and where it is clearly
+ * more than noise the slope is taken as not known. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
