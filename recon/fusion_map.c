@@ -204,12 +204,52 @@ static td_status copy_all(td_elevation *map, td_elevation *noise, const td_fusio
     return status;
 }
 
+/* Height of a cell over the median of its known neighbours; 0 where all of them are known. */
+static double border_step(const td_elevation *map, int column, int row)
+{
+    float known[8];
+    int count = 0, unknown = 0;
+    for (int r = row - 1; r <= row + 1; r++)
+        for (int c = column - 1; c <= column + 1; c++) {
+            if ((r == row && c == column) || c < 0 || r < 0 || c >= map->columns || r >= map->rows) continue;
+            float h = map->height[(size_t)r * (size_t)map->columns + (size_t)c];
+            unknown += !isfinite(h);
+            for (int k = 0; isfinite(h) && k < count; k++)
+                if (h < known[k]) {
+                    const float swap = known[k];
+                    known[k] = h;
+                    h = swap;
+                }
+            if (isfinite(h)) known[count++] = h;
+        }
+    if (unknown == 0 || count == 0) return 0;
+    return (double)map->height[(size_t)row * (size_t)map->columns + (size_t)column] -
+           (double)known[count / 2];
+}
+
+/* A cell at the rim of what was seen is seen in part, and nothing beyond it says how the ground goes on: the
+ * truth may be anywhere between it and its neighbours, evenly spread, where they differ by more than their
+ * noise. */
+static void widen_border(td_elevation *map, td_elevation *noise)
+{
+    for (int r = 0; r < map->rows; r++)
+        for (int c = 0; c < map->columns; c++) {
+            const size_t at = (size_t)r * (size_t)map->columns + (size_t)c;
+            if (map->provenance[at] != TD_CELL_MEASURED && map->provenance[at] != TD_CELL_FUSED) continue;
+            const double step = border_step(map, c, r), own = (double)map->sigma[at];
+            const double beyond = sqrt(fmax(0, step * step - 2 * own * own) / 12);
+            map->sigma[at] = (float)hypot(own, beyond);
+            if (noise) noise->sigma[at] = (float)hypot((double)noise->sigma[at], beyond);
+        }
+}
+
 static td_status make_maps(td_elevation **map, td_elevation **noise, const td_fusion *f,
                            const int32_t cells[4], td_error *error)
 {
     td_status status = make_map(map, f, cells, error);
     if (status == TD_OK && noise) status = make_map(noise, f, cells, error);
     if (status == TD_OK) status = copy_all(*map, noise ? *noise : NULL, f, cells, error);
+    if (status == TD_OK) widen_border(*map, noise ? *noise : NULL);
     if (status != TD_OK) {
         td_elevation_free(map);
         if (noise) td_elevation_free(noise);

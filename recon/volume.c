@@ -47,6 +47,7 @@ static void release(volume_grid *g)
 {
     free(g->d);
     free(g->sigma);
+    free(g->shared);
     free(g->guessed);
     free(g->region);
     free(g->base);
@@ -59,11 +60,12 @@ static td_status make_grid(volume_grid *g, const td_elevation *map, td_error *er
     const size_t n = volume_cells(g);
     g->d = malloc(n * sizeof *g->d);
     g->sigma = malloc(n * sizeof *g->sigma);
+    g->shared = malloc(n * sizeof *g->shared);
     g->guessed = calloc(n, sizeof *g->guessed);
     g->region = malloc(n * sizeof *g->region);
     g->base = malloc(n * sizeof *g->base);
     g->place = calloc(n, sizeof *g->place);
-    if (g->d && g->sigma && g->guessed && g->region && g->base && g->place) return TD_OK;
+    if (g->d && g->sigma && g->shared && g->guessed && g->region && g->base && g->place) return TD_OK;
     return td_fail(error, TD_ERROR_MEMORY, "no memory for the difference of maps of %d x %d cells",
                    map->columns, map->rows);
 }
@@ -186,6 +188,48 @@ static td_status guess_sigma(double *middle, volume_grid *g, td_error *error)
     return TD_OK;
 }
 
+enum { AROUND = 6, EACH = 2, MOST_AROUND = 49 }; /* cells to each side, of which each second */
+
+/* Median of sigma around a cell; NaN: none is known. */
+static double sigma_around(const volume_grid *g, int column, int row)
+{
+    double value[MOST_AROUND];
+    size_t count = 0;
+    for (int y = row - AROUND; y <= row + AROUND; y += EACH)
+        for (int x = column - AROUND; x <= column + AROUND; x += EACH) {
+            if (x < 0 || y < 0 || x >= g->columns || y >= g->rows) continue;
+            const double sigma = g->sigma[(size_t)y * (size_t)g->columns + (size_t)x];
+            if (isfinite(sigma)) value[count++] = sigma;
+        }
+    return volume_median(value, count);
+}
+
+/* What neighbours share cannot be more than they have: a sigma above twice the median around is, beyond that,
+ * the cell's own, as at the edge of a stone or a trench. */
+static void part_sigma(volume_grid *g)
+{
+    for (int r = 0; r < g->rows; r++)
+        for (int c = 0; c < g->columns; c++) {
+            const size_t at = (size_t)r * (size_t)g->columns + (size_t)c;
+            g->shared[at] = isfinite(g->sigma[at]) ? fmin(g->sigma[at], 2 * sigma_around(g, c, r)) : NAN;
+        }
+}
+
+/* Variance of the sum of weighted cells; `weight` is used up. */
+static td_status variance_of(double *variance, double *weight, const volume_grid *g, double correlation_m,
+                             td_error *error)
+{
+    double own = 0;
+    for (size_t i = 0, n = volume_cells(g); i < n; i++) {
+        if (weight[i] == 0) continue;
+        own += weight[i] * weight[i] * (g->sigma[i] * g->sigma[i] - g->shared[i] * g->shared[i]);
+        weight[i] *= g->shared[i];
+    }
+    TD_TRY(volume_variance(variance, weight, g, correlation_m, error));
+    *variance += own;
+    return TD_OK;
+}
+
 /* The mean of d where nothing changed, with its sigma. */
 static td_status find_shift(td_volume *v, double *scratch, const volume_grid *g, td_error *error)
 {
@@ -193,7 +237,7 @@ static td_status find_shift(td_volume *v, double *scratch, const volume_grid *g,
     double sum = 0, variance = 0;
     for (size_t i = 0, n = volume_cells(g); i < n; i++) {
         const bool take = unchanged(g, i);
-        scratch[i] = take ? g->sigma[i] : 0;
+        scratch[i] = take;
         count += take;
         if (take) sum += g->d[i];
     }
@@ -203,7 +247,7 @@ static td_status find_shift(td_volume *v, double *scratch, const volume_grid *g,
             "%zu cells are unchanged, %d are needed to find the shift between the maps: give its sigma "
             "(common_m), or a map that goes on beyond the change",
             count, LEAST_UNCHANGED);
-    TD_TRY(volume_variance(&variance, scratch, g, v->correlation_m, error));
+    TD_TRY(variance_of(&variance, scratch, g, v->correlation_m, error));
     v->shift_m = sum / (double)count;
     v->sigma_shift_m = sqrt(variance) / (double)count;
     return TD_OK;
@@ -224,6 +268,7 @@ static td_status understand(td_volume *v, double *scratch, volume_grid *g, const
         v->shift_m = estimate ? middle : 0;
         TD_TRY(volume_places(g, v->shift_m, v->sigma_shift_m, v->correlation_m, error));
     }
+    part_sigma(g);
     TD_TRY(volume_noise(&v->scatter, &found, g, middle, error));
     if (!has_sigma) v->scatter = NAN;
     if (o->correlation_m == 0 && isfinite(found)) v->correlation_m = found;
@@ -261,9 +306,9 @@ static td_status sum_of(double *sum, double *sigma, double *scratch, const volum
     for (size_t i = 0; i < n; i++) {
         double weight = belongs(g, i, which);
         if (estimated && unchanged(g, i)) weight -= members / quiet;
-        scratch[i] = weight != 0 ? weight * g->sigma[i] : 0;
+        scratch[i] = weight;
     }
-    TD_TRY(volume_variance(&variance, scratch, g, v->correlation_m, error));
+    TD_TRY(variance_of(&variance, scratch, g, v->correlation_m, error));
     if (!estimated) variance += members * members * v->sigma_shift_m * v->sigma_shift_m;
     *sum = area * total;
     *sigma = area * sqrt(fmax(0, variance));

@@ -7,7 +7,8 @@
  *
  *   area^2 (sum_ij w_i w_j sigma_i sigma_j exp(-r_ij^2 / correlation_m^2) + (sum_i w_i)^2 sigma_shift^2);
  *
- * taken as independent, the cells would give a sigma too small by sqrt(pi) correlation_m / cell_m. Noise of
+ * where a sigma_i counts up to twice the median around it, and what it is beyond that, as at the edge of a
+ * stone, is the cell's own. Taken as independent, the cells would give a sigma too small by sqrt(pi) correlation_m / cell_m. Noise of
  * another shape is given the correlation_m of the same correlation area, which is what counts in large sums.
  *
  * Cut and fill. Summed by sign, noise alone would be both: 0.4 sigma for every cell. So places are told apart

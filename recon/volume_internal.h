@@ -10,9 +10,10 @@
 typedef struct volume_grid {
     int columns, rows;
     double cell_m;
-    double *d;     /* after - before, m; NaN: not known in both */
-    double *sigma; /* of d without the shift, m; NaN: unknown */
-    bool *guessed; /* sigma is the spread of d, as the maps know none */
+    double *d;      /* after - before, m; NaN: not known in both */
+    double *sigma;  /* of d without the shift, m; NaN: unknown */
+    double *shared; /* the part of it that neighbours have in common */
+    bool *guessed;  /* sigma is the spread of d, as the maps know none */
     bool some_guess;
     bool *region;       /* inside the polygon */
     bool *base;         /* where d is known and change is not expected: outside the polygon, else anywhere */
