@@ -221,7 +221,8 @@ static td_status simulate_task(task_job *t, job *j)
                                   &j->progress, &j->error);
     live_end(&live);
     free(replayed.item);
-    if (status != TD_OK || s->options.base != TD_MACHINE_SUSPENDED || !t->run.simulated) return status;
+    if (status != TD_OK || s->map || s->options.base != TD_MACHINE_SUSPENDED || !t->run.simulated)
+        return status;
     t->has_locked = true;
     return task_run_session(&t->locked, s, TD_MACHINE_FIXED, &t->run.input, NULL, &j->progress, &j->error);
 }
@@ -233,6 +234,9 @@ static td_status run_task(simulate_job *s, job *j)
     memcpy(rows, task_gate_defaults, task_gate_count * sizeof *rows);
     for (size_t i = 0; i < gates.count; i++)
         TD_TRY(gate_set(rows, task_gate_count, gates.value[i], &j->error));
+    if (s->scenario.has_ground)
+        TD_TRY(station_ground_map(&s->scenario.map, &s->scenario.ground, common.output, common.threads,
+                                  &j->progress, &j->error));
     td_status status = simulate_task(&t, j);
     if (status == TD_ERROR_ARGUMENT) status = TD_ERROR_DATA;
     if (status == TD_ERROR_DATA && !replay_path) td_error_prefix(&j->error, status, "%s", s->scenario.path);

@@ -55,6 +55,11 @@ static double contact(const task_sample *a, int k)
     return 1e-3 * (k ? a->press_n : a->contact_n);
 }
 
+static double load(const task_sample *a, int k)
+{
+    return k ? a->depth_m : a->load_kg;
+}
+
 typedef struct line {
     const char *label;
     const task_run *run;
@@ -172,6 +177,19 @@ static void press(td_report *r, const task_job *j)
     plot(r, "force on the tool", "force (kN)", lines, 2);
 }
 
+static void digging(td_report *r, const task_job *j)
+{
+    if (!j->run.after) return;
+    const line forces[] = {{"of the soil", &j->run, contact, 0, TD_TONE_PLAIN}},
+               loads[] = {{"in the bucket", &j->run, load, 0, TD_TONE_PLAIN}},
+               depths[] = {{"of the edge", &j->run, load, 1, TD_TONE_PLAIN}};
+    td_report_grid_begin(r, 3);
+    plot(r, "cutting force", "force (kN)", forces, 1);
+    plot(r, "load", "soil (kg)", loads, 1);
+    plot(r, "depth below the ground ahead", "depth (m)", depths, 1);
+    td_report_grid_end(r);
+}
+
 static void session(td_report *r, const task_job *j)
 {
     static const char *const heads[] = {"time (s)", "kind", "name", "text"};
@@ -241,6 +259,8 @@ td_status task_report(const void *done, const char *path, td_error *error)
     tool(r, j);
     joints(r, j);
     suspension(r, j);
+    task_report_ground(r, j);
+    digging(r, j);
     press(r, j);
     session(r, j);
     clock_plot(r, j);

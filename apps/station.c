@@ -1,0 +1,387 @@
+#include "apps/station.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* Of a shaft's update, and the speed below which its resistance falls off: 50 kN that are held for 20 ms on
+ * an arm of 2 t move it by 5 mm. */
+static const double SOIL_PERIOD_S = 0.01, STILL_M_S = 0.03;
+
+struct station {
+    const td_robot *robot;
+    td_machine_options machine;
+    station_ground ground;
+    td_plant_state start; /* settled */
+    td_elevation *first, *now;
+    td_world *world;
+    td_soil *soil;               /* NULL: none */
+    td_clearance_map *clearance; /* of `now`; NULL: to be made */
+    bool changed;                /* the soil moved since `now` was taken */
+    int bucket_link;
+    td_soil_state felt; /* at the soil's last update */
+    double way[3];      /* of the edge, site's axes, m/s, at that update */
+    double edge[3], edge_s;
+    double peak_n;
+    int64_t total_mg;
+    td_status failed; /* of the soil, within a step of the world */
+    td_error why;
+    double clock_s; /* what the world's time is ahead of its own */
+};
+
+/* ---- the soil under the bucket ---- */
+
+static td_pose bucket_pose(const station *s)
+{
+    td_pose at[TD_ROBOT_MAX_LINKS];
+    td_world_links(at, s->world);
+    return at[s->bucket_link];
+}
+
+static double length(const double v[3])
+{
+    return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+}
+
+/* A torque as two forces, one metre apart across it: f = T x a. */
+static td_status push_torque(td_world *world, int link, const double torque[3], const double at[3])
+{
+    const int flat = fabs(torque[0]) < fabs(torque[1])   ? (fabs(torque[0]) < fabs(torque[2]) ? 0 : 2)
+                     : fabs(torque[1]) < fabs(torque[2]) ? 1
+                                                         : 2;
+    const double t = length(torque);
+    double across[3] = {0}, arm[3], force[3], back[3], point[3];
+    if (!(t > 0)) return TD_OK;
+    across[flat] = 1;
+    for (int c = 0; c < 3; c++) {
+        const int i = (c + 1) % 3, k = (c + 2) % 3;
+        arm[c] = torque[i] * across[k] - torque[k] * across[i];
+    }
+    const double size = length(arm);
+    for (int c = 0; c < 3; c++) arm[c] /= size;
+    for (int c = 0; c < 3; c++) {
+        const int i = (c + 1) % 3, k = (c + 2) % 3;
+        force[c] = torque[i] * arm[k] - torque[k] * arm[i];
+        back[c] = -force[c];
+        point[c] = at[c] + arm[c];
+    }
+    TD_TRY(td_world_push(world, link, force, point, NULL));
+    return td_world_push(world, link, back, at, NULL);
+}
+
+/* What is held between two updates is that of the speed at the last one: it follows tanh(speed / slip) down,
+ * never up, and is none where the bucket goes the other way. */
+static double share_of(const station *s, const double edge[3], double dt)
+{
+    const double then = length(s->way);
+    double now = 0;
+    if (!(then > 1e-6) || !(dt > 0)) return 1;
+    for (int c = 0; c < 3; c++) now += (edge[c] - s->edge[c]) / dt * s->way[c] / then;
+    return fmax(0, fmin(1, tanh(now / STILL_M_S)));
+}
+
+static void feel(void *user, td_world *world)
+{
+    station *s = user;
+    if (s->failed != TD_OK) return;
+    const double dt = td_world_options_default(s->robot).step_s;
+    const td_soil_bucket bucket = station_bucket(s);
+    const td_pose at = bucket_pose(s);
+    const uint64_t before = s->felt.updates;
+    double edge[3], force[3], torque[3], arm[3];
+    s->failed = td_soil_step(s->soil, &at, dt, &s->why);
+    if (s->failed != TD_OK) return;
+    td_soil_get(&s->felt, s->soil);
+    td_pose_transform(edge, &at, bucket.edge);
+    s->edge_s += dt;
+    const double share = s->felt.updates == before ? share_of(s, edge, dt) : 1;
+    if (s->felt.updates != before) s->edge_s = 0;
+    for (int c = 0; c < 3; c++) {
+        s->way[c] = s->felt.updates != before ? (edge[c] - s->edge[c]) / dt : s->way[c];
+        s->edge[c] = edge[c];
+    }
+    s->peak_n = fmax(s->peak_n, s->felt.cutting_n);
+    s->changed = true;
+    /* The load's weight stays, whatever the speed. */
+    const double weight[3] = {0, 0, -1e-6 * (double)s->felt.bucket_mg * 9.80665};
+    double centre[3];
+    td_pose_rotate(centre, &at, bucket.centre);
+    for (int c = 0; c < 3; c++) force[c] = s->felt.force[c] - weight[c];
+    for (int c = 0; c < 3; c++) {
+        const int i = (c + 1) % 3, k = (c + 2) % 3;
+        arm[c] = centre[i] * weight[k] - centre[k] * weight[i];
+        torque[c] = share * (s->felt.torque[c] - arm[c]) + arm[c];
+    }
+    for (int c = 0; c < 3; c++) force[c] = share * force[c] + weight[c];
+    td_world_push(world, s->bucket_link, force, at.t, NULL);
+    push_torque(world, s->bucket_link, torque, at.t);
+}
+
+static double soil_height(void *user, double x, double y)
+{
+    return td_soil_height_at(((const station *)user)->soil, x, y);
+}
+
+/* ---- made ---- */
+
+static td_status add_stones(station *s, td_error *error)
+{
+    for (int i = 0; i < s->ground.stone_count; i++)
+        TD_TRY(td_world_add_stone(s->world, NULL, s->ground.stone + i, error));
+    return TD_OK;
+}
+
+static td_status make_soil(station *s, const td_elevation *map, td_error *error)
+{
+    const td_soil_bucket bucket = station_bucket(s);
+    td_soil_options o = td_soil_options_default();
+    o.period_s = SOIL_PERIOD_S;
+    td_soil_free(&s->soil);
+    s->felt = (td_soil_state){0};
+    if (!s->ground.has_soil) return TD_OK;
+    TD_TRY(td_soil_new(&s->soil, map, &s->ground.soil, &bucket, &o, error));
+    s->total_mg = td_soil_balance_of(s->soil).total_mg;
+    return TD_OK;
+}
+
+static td_status make_world(station *s, td_error *error)
+{
+    td_world_options o = td_world_options_default(s->robot);
+    o.machine = s->machine;
+    if (s->soil) {
+        o.height = soil_height;
+        o.height_user = s;
+        o.before_step = feel;
+        o.before_step_user = s;
+    }
+    td_world_free(&s->world);
+    return td_world_new(&s->world, s->robot, s->first, &o, error);
+}
+
+/* The machine settles before the soil is there, whose first step places the bucket. */
+static td_status begin(station *s, const td_plant_state *start, td_error *error)
+{
+    s->failed = TD_OK;
+    s->peak_n = 0;
+    td_clearance_map_free(&s->clearance);
+    td_elevation_free(&s->now);
+    TD_TRY(make_soil(s, s->first, error));
+    TD_TRY(make_world(s, error));
+    TD_TRY(td_world_reset(s->world, start, error));
+    TD_TRY(td_world_settle(s->world, error));
+    TD_TRY(s->failed == TD_OK ? TD_OK : td_fail(error, s->failed, "%s", s->why.message));
+    TD_TRY(add_stones(s, error));
+    td_world_state(s->world, &s->start);
+    const td_pose at = bucket_pose(s);
+    const td_soil_bucket bucket = station_bucket(s);
+    td_pose_transform(s->edge, &at, bucket.edge);
+    return TD_OK;
+}
+
+static td_status take(station *s, const td_plant_state *start, const td_elevation *map, td_error *error)
+{
+    s->bucket_link = -1;
+    for (int i = 0; i < s->robot->link_count; i++)
+        if (strcmp(s->robot->link[i].name, "bucket") == 0) s->bucket_link = i;
+    if (s->ground.has_soil && s->bucket_link < 0)
+        return td_fail(error, TD_ERROR_DATA, "robot '%s' has no link 'bucket' to dig with; leave soil out",
+                       s->robot->name);
+    TD_TRY(td_elevation_copy(&s->first, map, error));
+    return begin(s, start, error);
+}
+
+td_status station_new(station **out, const td_robot *robot, const td_machine_options *machine,
+                      const td_plant_state *start, const td_elevation *map, const station_ground *ground,
+                      td_error *error)
+{
+    station *s = *out = calloc(1, sizeof *s);
+    if (!s) return td_fail(error, TD_ERROR_MEMORY, "no memory for a station");
+    s->robot = robot;
+    s->machine = *machine;
+    s->ground = *ground;
+    const td_status status = take(s, start, map, error);
+    if (status != TD_OK) station_free(out);
+    return status;
+}
+
+void station_free(station **s)
+{
+    if (!s || !*s) return;
+    td_world_free(&(*s)->world);
+    td_soil_free(&(*s)->soil);
+    td_clearance_map_free(&(*s)->clearance);
+    td_elevation_free(&(*s)->first);
+    td_elevation_free(&(*s)->now);
+    free(*s);
+    *s = NULL;
+}
+
+td_status station_restart(station *s, double time_s, td_error *error)
+{
+    td_plant_state again = s->start;
+    again.time_s = time_s;
+    return begin(s, &again, error);
+}
+
+td_status station_replace_map(station *s, const td_elevation *map, td_error *error)
+{
+    td_elevation *copy = NULL;
+    TD_TRY(td_elevation_copy(&copy, map, error));
+    const double peak = s->peak_n;
+    const td_status status = make_soil(s, copy, error);
+    if (status != TD_OK) {
+        td_elevation_free(&copy);
+        return status;
+    }
+    td_clearance_map_free(&s->clearance);
+    td_elevation_free(&s->now);
+    td_elevation_free(&s->first);
+    s->first = copy;
+    s->peak_n = peak;
+    td_world_set_ground(s->world, copy);
+    return TD_OK;
+}
+
+/* ---- the plant ---- */
+
+static td_status plant_command(void *self, const td_plant_command *command, td_error *error)
+{
+    return td_world_command(((station *)self)->world, command, error);
+}
+
+static td_status plant_step(void *self, double dt_s, td_error *error)
+{
+    station *s = self;
+    TD_TRY(td_world_step(s->world, dt_s, error));
+    return s->failed == TD_OK ? TD_OK : td_fail(error, s->failed, "%s", s->why.message);
+}
+
+static td_status plant_state(void *self, td_plant_state *state, td_error *error)
+{
+    (void)error;
+    td_world_state(((station *)self)->world, state);
+    return TD_OK;
+}
+
+static td_status plant_reset(void *self, const td_plant_state *state, td_error *error)
+{
+    return td_world_reset(((station *)self)->world, state, error);
+}
+
+static void plant_free(void *self)
+{
+    (void)self;
+}
+
+td_plant station_plant(station *s)
+{
+    return (td_plant){.self = s,
+                      .robot = s->robot,
+                      .command = plant_command,
+                      .step = plant_step,
+                      .state = plant_state,
+                      .reset = plant_reset,
+                      .free = plant_free};
+}
+
+td_status station_drive(station *s, double left_m_s, double right_m_s, td_error *error)
+{
+    if (s->machine.base != TD_MACHINE_SUSPENDED && left_m_s == 0 && right_m_s == 0) return TD_OK;
+    return td_world_drive(s->world, left_m_s, right_m_s, error);
+}
+
+double station_half_gauge(const station *s)
+{
+    return td_world_options_default(s->robot).tracks.half_gauge_m;
+}
+
+double station_height(const station *s, double x, double y)
+{
+    return td_world_height_at(s->world, x, y);
+}
+
+/* ---- what it holds ---- */
+
+td_status station_map(const td_elevation **map, station *s, td_error *error)
+{
+    *map = s->first;
+    if (!s->soil) return TD_OK;
+    if (s->now && !s->changed) {
+        *map = s->now;
+        return TD_OK;
+    }
+    td_elevation *now = NULL;
+    TD_TRY(td_soil_map(&now, s->soil, error));
+    td_clearance_map_free(&s->clearance);
+    td_elevation_free(&s->now);
+    *map = s->now = now;
+    s->changed = false;
+    return TD_OK;
+}
+
+const td_elevation *station_first_map(const station *s)
+{
+    return s->first;
+}
+
+bool station_has_soil(const station *s)
+{
+    return s->soil != NULL;
+}
+
+/* The one bucket that has figures. */
+td_soil_bucket station_bucket(const station *s)
+{
+    (void)s;
+    return td_soil_bucket_zx200();
+}
+
+int station_bucket_link(const station *s)
+{
+    return s->bucket_link;
+}
+
+td_soil_state station_soil(const station *s)
+{
+    return s->felt;
+}
+
+double station_cutting_peak(const station *s)
+{
+    return s->peak_n;
+}
+
+double station_mass_error(const station *s)
+{
+    return s->soil ? 1e-6 * (double)(td_soil_balance_of(s->soil).total_mg - s->total_mg) : 0;
+}
+
+/* ---- a motion against the map ---- */
+
+td_status station_check(bool *accepted, td_clearance *clearance, char *words, size_t size, station *s,
+                        const double *time_s, const double *q, size_t samples, bool bucket_may_touch,
+                        td_error *error)
+{
+    const td_elevation *map = NULL;
+    td_clearance_allowed allowed[TD_ROBOT_MAX_LINKS];
+    td_clearance_options o = td_clearance_options_default();
+    td_plant_state state;
+    size_t count = 0;
+    TD_TRY(station_map(&map, s, error));
+    if (!s->clearance) TD_TRY(td_clearance_map_new(&s->clearance, map, s->ground.sigma_m, error));
+    td_world_state(s->world, &state);
+    for (int i = s->bucket_link; i >= 0 && i < s->robot->link_count && bucket_may_touch; i++)
+        allowed[count++] = (td_clearance_allowed){i, time_s[0], time_s[samples - 1]};
+    const td_clearance_motion motion = {.robot = s->robot,
+                                        .site_from_vehicle = state.site_from_vehicle,
+                                        .count = samples,
+                                        .time_s = time_s,
+                                        .q = q,
+                                        .allowed = allowed,
+                                        .allowed_count = count};
+    o.unseen_top_m = s->ground.unseen_top_m;
+    TD_TRY(td_clearance_check(clearance, s->clearance, &motion, &o, error));
+    *accepted = td_clearance_verdict(words, size, clearance, s->robot, &o);
+    return TD_OK;
+}
