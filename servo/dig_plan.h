@@ -16,8 +16,9 @@
  *
  * Volumes are counted over the map's columns between its surface and the plane, over what the edge sweeps.
  * The machine is to swing about its upright axis and to move the tool in an upright plane by three joints or
- * more (an excavator). Ground without a height is unknown: refused in the trench, and as high as the highest
- * known ground elsewhere. Own body and bystanders: not looked at (sim/clearance.h does). */
+ * more (an excavator). Ground without a height is unknown: refused in the trench; under a carry or a return
+ * it is taken to be as high as the highest known ground below the same way. Own body and bystanders: not
+ * looked at (sim/clearance.h does). */
 #ifndef TELEDIMOS_SERVO_DIG_PLAN_H
 #define TELEDIMOS_SERVO_DIG_PLAN_H
 
