@@ -166,7 +166,7 @@ static td_status begin_move(session *x, td_error *error)
 {
     session_dig *d = &x->dig;
     const move m = move_at(d, d->move);
-    td_trajectory *motion = NULL;
+    td_trajectory *planned = NULL;
     char text[200];
     if (d->plan && m.phase == TD_DIG_CUT) {
         const td_dig_move *c = d->plan->move + d->move;
@@ -178,9 +178,9 @@ static td_status begin_move(session *x, td_error *error)
     }
     d->raise_m = d->stalled_s = 0;
     d->move++;
-    TD_TRY(session_plan(x, &motion, m.position, m.frame, x->wanted, x->step, error));
-    if (!motion) return TD_OK;
-    return session_begin_motion(x, &motion, m.contact, error);
+    TD_TRY(session_plan(x, &planned, m.position, m.frame, x->wanted, x->step, error));
+    if (!planned) return TD_OK;
+    return session_begin_motion(x, &planned, m.contact, error);
 }
 
 /* What still stands above the floor; another round where that is worth it. */

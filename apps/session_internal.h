@@ -85,7 +85,7 @@ td_status session_plan_ahead(session *x, td_error *error);
 void session_forget_plans(session *x);
 /* A motion runs from the next period on, unless the ground is in its way: then *motion is NULL again, and it
  * is reported. */
-td_status session_begin_motion(session *x, td_trajectory **motion, bool bucket_may_touch, td_error *error);
+td_status session_begin_motion(session *x, td_trajectory **planned, bool bucket_may_touch, td_error *error);
 /* Along the motion at the pace `to` (1: as planned, 0: held), or where the joints are wanted. */
 td_status session_follow(session *x, double to, td_error *error);
 void session_end_step(session *x);

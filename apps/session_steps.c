@@ -89,11 +89,11 @@ static td_status begin_press(session *x, const td_task_press *p, td_error *error
 }
 
 /* What is in the way of a motion, by the map as it is; on the generated dynamics there is none. */
-static td_status look_ahead(bool *clear, session *x, const td_trajectory *motion, bool bucket_may_touch,
+static td_status look_ahead(bool *clear, session *x, const td_trajectory *planned, bool bucket_may_touch,
                             td_error *error)
 {
     enum { MOST = 400 };
-    const double length = td_trajectory_duration(motion);
+    const double length = td_trajectory_duration(planned);
     const size_t n = (size_t)x->s->robot->joint_count,
                  samples = (size_t)fmin(MOST, ceil(length / x->s->period_s) + 2);
     double *q = calloc(samples * (n + 1), sizeof *q), *time = q ? q + samples * n : NULL;
@@ -108,7 +108,7 @@ static td_status look_ahead(bool *clear, session *x, const td_trajectory *motion
     for (size_t i = 0; i < samples; i++) {
         double at[TD_ROBOT_MAX_JOINTS];
         time[i] = length * (double)i / (double)(samples - 1);
-        td_trajectory_at(at, NULL, NULL, motion, time[i]);
+        td_trajectory_at(at, NULL, NULL, planned, time[i]);
         memcpy(q + i * n, at, n * sizeof *q);
         if (i && !(time[i] > time[i - 1])) time[i] = time[i - 1] + 1e-6;
     }
@@ -123,17 +123,17 @@ static td_status look_ahead(bool *clear, session *x, const td_trajectory *motion
     return session_report(x, TD_EVENT_UNREACHABLE, text, error);
 }
 
-td_status session_begin_motion(session *x, td_trajectory **motion, bool bucket_may_touch, td_error *error)
+td_status session_begin_motion(session *x, td_trajectory **planned, bool bucket_may_touch, td_error *error)
 {
     bool clear = false;
-    const td_status status = look_ahead(&clear, x, *motion, bucket_may_touch, error);
+    const td_status status = look_ahead(&clear, x, *planned, bucket_may_touch, error);
     td_trajectory_free(&x->motion);
     if (status != TD_OK || !clear) {
-        td_trajectory_free(motion);
+        td_trajectory_free(planned);
         return status;
     }
-    x->motion = *motion;
-    *motion = NULL;
+    x->motion = *planned;
+    *planned = NULL;
     x->base = x->state.site_from_vehicle;
     x->along_s = 0;
     x->pace = 1;
@@ -145,10 +145,10 @@ td_status session_begin_motion(session *x, td_trajectory **motion, bool bucket_m
 
 static td_status begin_position(session *x, const td_task_position *p, td_error *error)
 {
-    td_trajectory *motion = x->ahead[x->step];
+    td_trajectory *planned = x->ahead[x->step];
     x->ahead[x->step] = NULL;
-    if (!motion) TD_TRY(session_plan(x, &motion, p, x->setup->task->frame, x->wanted, x->step, error));
-    return motion ? session_begin_motion(x, &motion, false, error) : TD_OK;
+    if (!planned) TD_TRY(session_plan(x, &planned, p, x->setup->task->frame, x->wanted, x->step, error));
+    return planned ? session_begin_motion(x, &planned, false, error) : TD_OK;
 }
 
 static td_status begin_step(session *x, td_error *error)

@@ -139,20 +139,21 @@ static void listen_to(char said[LISTENED], int from)
     said[size] = 0;
 }
 
-static int spawn(pid_t *child, const char *path, char *const *argv, int errors)
+static int spawn(pid_t *child, const char *path, const char *const *argv, int errors)
 {
     posix_spawn_file_actions_t files;
     if (posix_spawn_file_actions_init(&files) != 0) return ENOMEM;
     int fault = posix_spawn_file_actions_addopen(&files, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
     if (!fault) fault = posix_spawn_file_actions_addopen(&files, STDOUT_FILENO, "/dev/null", O_WRONLY, 0);
     if (!fault) fault = posix_spawn_file_actions_adddup2(&files, errors, STDERR_FILENO);
-    if (!fault) fault = posix_spawn(child, path, &files, NULL, argv, environ);
+    if (!fault) fault = posix_spawn(child, path, &files, NULL, (char *const *)argv, environ);
     posix_spawn_file_actions_destroy(&files);
     return fault;
 }
 
-/* Waits for the command; its last sentence becomes ours. */
-static td_status run(const char *name, char *const *argv, td_error *error)
+/* posix_spawn changes no argument, though its type allows it. Waits for the command; its last sentence
+ * becomes ours. */
+static td_status run(const char *name, const char *const *argv, td_error *error)
 {
     char path[PATH_MAX], said[LISTENED] = "";
     int channel[2], code = 0;
@@ -176,21 +177,23 @@ static td_status run(const char *name, char *const *argv, td_error *error)
                    *last ? last : "a command that makes the map was ended from outside");
 }
 
-static td_status render(const station_ground *g, char *site, char *threads, td_error *error)
+static td_status render(const station_ground *g, const char *site, const char *threads, td_error *error)
 {
     char frames[sizeof g->frames], scene[STATION_PATH];
-    char *argv[] = {"render", scene, "-o", site, "--quiet", "--threads", threads, "--frames", frames, NULL};
+    const char *argv[] = {"render",    scene,   "-o",       site,   "--quiet",
+                          "--threads", threads, "--frames", frames, NULL};
     snprintf(scene, sizeof scene, "%s", g->site);
     snprintf(frames, sizeof frames, "%s", g->frames);
     if (!frames[0]) argv[7] = NULL;
     return run("render", argv, error);
 }
 
-static td_status reconstruct(const station_ground *g, char *site, char *map, char *threads, td_error *error)
+static td_status reconstruct(const station_ground *g, const char *site, const char *map, const char *threads,
+                             td_error *error)
 {
     char cell[32], region[160];
-    char *argv[] = {"reconstruct", site,    "-o",     map,  "--quiet",  "--accept", "--texels", "0",
-                    "--threads",   threads, "--cell", cell, "--region", region,     NULL};
+    const char *argv[] = {"reconstruct", site,    "-o",     map,  "--quiet",  "--accept", "--texels", "0",
+                          "--threads",   threads, "--cell", cell, "--region", region,     NULL};
     snprintf(cell, sizeof cell, "%.17g", g->cell_m);
     snprintf(region, sizeof region, "%.17g,%.17g,%.17g,%.17g", g->region[0], g->region[1], g->region[2],
              g->region[3]);
