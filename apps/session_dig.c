@@ -168,8 +168,8 @@ static td_status begin_move(session *x, td_error *error)
     const move m = move_at(d, d->move);
     td_trajectory *planned = NULL;
     char text[200];
-    if (d->plan && m.phase == TD_DIG_CUT) {
-        const td_dig_move *c = d->plan->move + d->move;
+    const td_dig_move *c = d->plan ? d->plan->move + d->move : NULL;
+    if (c && c->cut_m3 > 0) {
         d->raised = d->stalled = false;
         x->run->dug.passes++;
         snprintf(text, sizeof text, "%d of %d, lane %d: %.2f m3 of the bank, %.2f m deep", c->pass + 1,
