@@ -8,6 +8,7 @@
 #include <time.h>
 
 static const double REST_S = 1;      /* a machine told to stop has come to rest */
+static const double ROCK_S = 5;      /* and so has one that rocks on its tracks */
 static const double JOG_SHARE = 0.3; /* of a joint's speed, by hand */
 
 void task_run_free(task_run *run)
@@ -229,7 +230,7 @@ static bool is_over(const session *x)
 /* On the ground a scenario's duration is the longest: how long a trench takes is not known before. */
 static bool is_at_end(const session *x)
 {
-    if (x->station && x->step >= x->steps && (double)x->idle * x->s->period_s >= REST_S) return true;
+    if (x->station && x->step >= x->steps && (double)x->idle * x->s->period_s >= ROCK_S) return true;
     return (double)x->simulated * x->s->period_s >= x->s->duration_s - x->s->period_s / 2;
 }
 

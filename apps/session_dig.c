@@ -13,7 +13,7 @@
 
 static const double LAG_M = 0.08, HELD_M = 0.25; /* the tool behind: from where on slower; where held */
 static const double STALL_S = 3, STALL_PACE = 0.05;
-static const double RAISE_M_S = 0.15, LOWER_M_S = 0.05, RAISE_MOST_M = 1;
+static const double RAISE_M_S = 0.4, LOWER_M_S = 0.05, RAISE_MOST_M = 1;
 static const double EMPTY_KG = 5, OPEN_SHARE = 0.05; /* of the last joint's range */
 static const double BODY_M = 0.72;                   /* of the shell of the zx200's bucket */
 enum { ROUNDS = 3 };
@@ -176,9 +176,12 @@ static td_status begin_move(session *x, td_error *error)
                  d->plan->pass_count, c->lane + 1, c->cut_m3, c->depth_m);
         TD_TRY(session_note(x, NOTE_MESSAGE, "pass", text, error));
     }
+    /* What begins and ends with a jerk sets the machine rocking on its suspension, the edge by 0.2 m. */
+    td_task_position smooth = *m.position;
+    if (smooth.law == TD_TASK_FASTEST) smooth.law = TD_TASK_QUINTIC;
     d->raise_m = d->stalled_s = 0;
     d->move++;
-    TD_TRY(session_plan(x, &planned, m.position, m.frame, x->wanted, x->step, error));
+    TD_TRY(session_plan(x, &planned, &smooth, m.frame, x->wanted, x->step, error));
     if (!planned) return TD_OK;
     return session_begin_motion(x, &planned, m.contact, error);
 }

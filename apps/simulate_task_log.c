@@ -115,7 +115,7 @@ static void rows_of(FILE *f, const task_run *run, const scenario *s)
                 rate, name, simulate_is_motor(r, k) ? rate : "m3_s", name,
                 simulate_is_motor(r, k) && !slides ? "nm" : "n");
     }
-    fputc('\n', f);
+    fputs(s->map ? ",load_kg,depth_m\n" : "\n", f);
     for (size_t i = 0; i < run->count; i++) {
         const task_sample *a = run->sample + i;
         double rpy[3], off[3];
@@ -139,6 +139,7 @@ static void rows_of(FILE *f, const task_run *run, const scenario *s)
             put(f, a->command[k]);
             put(f, a->state.force[k]);
         }
+        if (s->map) put(f, a->load_kg), put(f, a->depth_m);
         fputc('\n', f);
     }
 }
