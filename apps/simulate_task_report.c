@@ -99,16 +99,19 @@ static void figures(td_report *r, const task_job *j)
     const task_run *run = &j->run;
     td_report_figures_begin(r);
     td_report_figure(r, "mm off at the end", TD_TONE_PLAIN, "%.2f", 1e3 * task_steady(run));
-    td_report_figure(r, "mm, suspension locked", TD_TONE_PLAIN, "%.4f",
-                     j->has_locked ? 1e3 * task_steady(&j->locked) : NAN);
+    if (!run->after)
+        td_report_figure(r, "mm, suspension locked", TD_TONE_PLAIN, "%.4f",
+                         j->has_locked ? 1e3 * task_steady(&j->locked) : NAN);
     td_report_figure(r, "steps done", TD_TONE_PLAIN, "%d / %d", run->steps_done,
                      j->scenario->task->task->step_count);
     td_report_figure(r, "times real time", TD_TONE_GOOD, "%.0f", run->time_s / run->cpu_s);
     td_report_figure(r, "deadlines missed", run->live.counts.misses ? TD_TONE_WARN : TD_TONE_PLAIN, "%llu",
                      (unsigned long long)run->live.counts.misses);
-    td_report_figure(r, "calls of the equations", TD_TONE_PLAIN, "%ld", run->counters.rates);
-    td_report_figure(r, "switches of method", TD_TONE_PLAIN, "%ld",
-                     run->counters.to_bdf + run->counters.to_adams);
+    if (!run->after) {
+        td_report_figure(r, "calls of the equations", TD_TONE_PLAIN, "%ld", run->counters.rates);
+        td_report_figure(r, "switches of method", TD_TONE_PLAIN, "%ld",
+                         run->counters.to_bdf + run->counters.to_adams);
+    }
     td_report_figures_end(r);
 }
 
@@ -256,11 +259,11 @@ td_status task_report(const void *done, const char *path, td_error *error)
     for (size_t i = 0; i < j->gate.count; i++) sentences[i] = j->gate.reason[i];
     td_report_verdict(r, tones[j->gate.verdict], verdict_name(j->gate.verdict), sentences, j->gate.count);
     figures(r, j);
+    task_report_ground(r, j);
+    digging(r, j);
     tool(r, j);
     joints(r, j);
     suspension(r, j);
-    task_report_ground(r, j);
-    digging(r, j);
     press(r, j);
     session(r, j);
     clock_plot(r, j);

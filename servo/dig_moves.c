@@ -104,7 +104,7 @@ static bool over_dump(dig_pose *over, dig_pose *open, double *q_over, double *q_
     td_dig_reason reason;
     const size_t size = (size_t)job->robot->joint_count * sizeof *q_over;
     memcpy(over->at, job->dump, sizeof over->at);
-    over->pitch = job->upright_rad;
+    over->pitch = job->upright_rad - 0.25;
     const double ground = dig_highest(job, over->at, job->request->bucket->width_m / 2);
     over->at[2] = fmax(over->at[2], ground + job->o.clear_m + dig_shell(job, over->pitch)) + raised;
     *open = *over;
