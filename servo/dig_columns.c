@@ -5,7 +5,7 @@
 
 #include "servo/dig_internal.h"
 
-static const double ON_EDGE = 1e-9; /* of a lane: cells whose centres lie on its rim are in it */
+static const double ON_EDGE = 1e-6; /* of a lane: cells whose centres lie on its rim are in it */
 static const double STANDS_M = 0.01;
 static const double OFF_GROUND_M = 0.5;
 
@@ -199,6 +199,20 @@ static void edge_ends(double end[2][3], const dig_job *job, const dig_lane *lane
         for (int k = 0; k < 3; k++) end[e][k] = at[k] + (e - 0.5) * job->request->bucket->width_m * edge[k];
 }
 
+/* The edge is askew to the lane, the more so the further the lane is from pointing at the machine. */
+static double met_at(const dig_job *job, const dig_lane *lane, const dig_cell *c)
+{
+    double at[3], edge[3], met = c->a;
+    for (int round = 0; round < 3; round++) {
+        dig_place(at, job, met, lane->t, 0);
+        dig_edge(edge, job, at);
+        const double a = edge[0] * job->heading[0] + edge[1] * job->heading[1];
+        const double t = edge[1] * job->heading[0] - edge[0] * job->heading[1];
+        met = c->a - (c->t - lane->t) * a / t;
+    }
+    return met;
+}
+
 td_status dig_sweep_lane(dig_lane *lane, const dig_job *job, td_error *error)
 {
     enum { STRETCHES = 64 };
@@ -219,9 +233,12 @@ td_status dig_sweep_lane(dig_lane *lane, const dig_job *job, td_error *error)
     lane->cell = malloc((lane->count + 1) * sizeof *lane->cell);
     if (lane->cell) {
         size_t k = 0;
-        for (size_t i = 0; i < n; i++)
-            if (mark[i] && !isnan(m->height[i]))
-                lane->cell[k++] = cell_of(job, (int)(i % (size_t)m->columns), (int)(i / (size_t)m->columns));
+        for (size_t i = 0; i < n; i++) {
+            if (!mark[i] || isnan(m->height[i])) continue;
+            dig_cell *c = lane->cell + k++;
+            *c = cell_of(job, (int)(i % (size_t)m->columns), (int)(i / (size_t)m->columns));
+            c->met = met_at(job, lane, c);
+        }
     }
     free(mark);
     return lane->cell ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for a lane of the trench");
@@ -230,7 +247,7 @@ td_status dig_sweep_lane(dig_lane *lane, const dig_job *job, td_error *error)
 /* How far a cell stands above the plane; at most 0: not, or beyond what is reached. */
 static double stands(const dig_job *job, const dig_lane *lane, const dig_cell *c, double g)
 {
-    if (c->a < lane->from - ON_EDGE || c->a > lane->to + ON_EDGE) return 0;
+    if (c->met < lane->from - ON_EDGE || c->met > lane->to + ON_EDGE) return 0;
     return (double)job->map->height[c->index] - c->floor - g;
 }
 
@@ -247,8 +264,8 @@ bool dig_extent(double *from, double *to, const dig_job *job, const dig_lane *la
     *from = INFINITY, *to = -INFINITY;
     for (size_t i = 0; i < lane->count; i++) {
         if (!(stands(job, lane, lane->cell + i, g) > STANDS_M)) continue;
-        *from = fmin(*from, lane->cell[i].a - half);
-        *to = fmax(*to, lane->cell[i].a + half);
+        *from = fmin(*from, lane->cell[i].met - half);
+        *to = fmax(*to, lane->cell[i].met + half);
     }
     const bool any = *to > *from;
     *from = fmax(*from, lane->from), *to = fmin(*to, lane->to);
@@ -277,7 +294,7 @@ double dig_cut(dig_job *job, const dig_lane *lane, double from, double to, doubl
     for (size_t i = 0; i < lane->count; i++) {
         const dig_cell *c = lane->cell + i;
         const double above = (double)job->map->height[c->index] - c->floor - g;
-        if (!(above > 0) || c->a < from - ON_EDGE || c->a > to + ON_EDGE) continue;
+        if (!(above > 0) || c->met < from - ON_EDGE || c->met > to + ON_EDGE) continue;
         sum += above;
         *depth_m = fmax(*depth_m, above);
         job->map->height[c->index] = (float)(c->floor + g);
@@ -319,4 +336,9 @@ double dig_highest(const dig_job *job, const double at[2], double radius)
         highest = fmax(highest, heap_at(job, nearest));
     }
     return highest;
+}
+
+double dig_below(const dig_job *job, const double at[2])
+{
+    return dig_highest(job, at, (job->request->bucket->width_m + job->heel_m) / 2);
 }

@@ -7,8 +7,10 @@
 
 static const double PI = 3.14159265358979323846, DEGREE = 0.017453292519943295;
 static const double STEP_M = 0.1;
-static const double OVER_M = 0.1;                    /* above the ground where the approach ends */
-static const double TURN = 5 * 0.017453292519943295; /* between two tries of a pitch */
+static const double OVER_M = 0.1; /* above the ground where the approach ends */
+static const double OFF_WALL_M = 0.2;
+static const double SPARE_RAD = 10 * 0.017453292519943295; /* less than the tilt at which it spills */
+static const double TURN = 5 * 0.017453292519943295;       /* between two tries of a pitch */
 
 /* Direction of the drag, as a pitch. */
 static double way_of(const dig_job *job)
@@ -45,21 +47,42 @@ static bool enter(dig_drag *d, const dig_job *job, const dig_lane *lane, td_dig_
     return false;
 }
 
-/* The near end: the mouth as far from upright as is allowed, or less; then up. */
+double dig_carry_tilt(const dig_job *job)
+{
+    return fmax(0, fmin(job->o.tilt_deg * DEGREE, job->o.repose_rad) - SPARE_RAD);
+}
+
+/* Off the wall, which would be cut on the way up, and up; the mouth upright when it is up, or tilted where
+ * the bucket cannot be curled so far. */
+static bool lift(dig_drag *d, const dig_job *job, const dig_lane *lane, td_dig_reason *reason)
+{
+    const double back = fmin(OFF_WALL_M, 0.4 * (d->to - d->from));
+    const double top = fmax(d->top, top_at(job, lane, d->to)) + job->o.clear_m;
+    for (int tilted = 0; tilted <= 2; tilted++) {
+        const double upright = fmax(job->upright_rad - dig_carry_tilt(job) * tilted / 2, d->out.pitch);
+        dig_place(d->off.at, job, d->to - back, lane->t, d->g + back);
+        d->off.pitch = (d->out.pitch + upright) / 2;
+        d->up = d->off;
+        d->up.pitch = upright;
+        d->up.at[2] = top + dig_shell(job, upright);
+        memcpy(d->q_off, d->q_out, sizeof d->q_off);
+        if (!dig_line(d->q_off, job, &d->out, &d->off, reason)) continue;
+        memcpy(d->q_up, d->q_off, sizeof d->q_up);
+        if (dig_line(d->q_up, job, &d->off, &d->up, reason)) return true;
+    }
+    return false;
+}
+
+/* The near end: the mouth as far from upright as is allowed and does not spill, or less. */
 static bool leave(dig_drag *d, const dig_job *job, const dig_lane *lane, td_dig_reason *reason)
 {
     const double most = way_of(job) - job->o.rake_least_deg * DEGREE - job->floor_rad;
-    const double first = job->upright_rad - job->o.tilt_deg * DEGREE;
+    const double first = job->upright_rad - fmin(job->o.tilt_deg * DEGREE, job->o.repose_rad);
     memcpy(d->q_out, d->q_in, sizeof d->q_out);
     for (double pitch = fmin(first, most); pitch <= most + 1e-9; pitch += TURN) {
         dig_place(d->out.at, job, d->to, lane->t, d->g);
         d->out.pitch = pitch;
-        d->up = d->out;
-        d->up.pitch = job->upright_rad;
-        d->up.at[2] = fmax(d->top, top_at(job, lane, d->to)) + job->o.clear_m + dig_shell(job, d->up.pitch);
-        if (!dig_line(d->q_out, job, &d->out, &d->out, reason)) continue;
-        memcpy(d->q_up, d->q_out, sizeof d->q_up);
-        if (dig_line(d->q_up, job, &d->out, &d->up, reason)) return true;
+        if (dig_line(d->q_out, job, &d->out, &d->out, reason) && lift(d, job, lane, reason)) return true;
     }
     return false;
 }

@@ -40,6 +40,7 @@ typedef struct dig_pose {
 typedef struct dig_cell {
     size_t index;
     double a, t, floor; /* place, and the floor's height there */
+    double met;         /* where along the lane the edge's middle is when it passes */
     bool inside;        /* the trench */
 } dig_cell;
 
@@ -74,6 +75,8 @@ double dig_plane_of(const dig_job *job, const dig_lane *lane, double volume);
 double dig_cut(dig_job *job, const dig_lane *lane, double from, double to, double g, double *depth_m);
 /* Highest known ground within `radius` of a place; -INFINITY: none. With the heap that is being dumped. */
 double dig_highest(const dig_job *job, const double at[2], double radius);
+/* The same below the bucket, whichever way it points. */
+double dig_below(const dig_job *job, const double at[2]);
 
 /* ---- dig_reach.c: where the machine can go ---- */
 
@@ -88,8 +91,9 @@ bool dig_reach(double *q, const dig_job *job, const dig_pose *pose);
 bool dig_arm_clear(const dig_job *job, const double *q);
 /* A straight way of the tool, its samples reached and clear. `reason` says what is not. */
 bool dig_line(double *q, const dig_job *job, const dig_pose *from, const dig_pose *to, td_dig_reason *reason);
-/* Between two postures by the joints in one line: by how much the bucket is too low, m; at most 0: clear. */
-double dig_too_low(const dig_job *job, const double *from, const double *to);
+/* Between two postures by the joints in one line: by how much the bucket is too low, m; at most 0: clear.
+ * `where`: the share of the way at which it is lowest. */
+double dig_too_low(double *where, const dig_job *job, const double *from, const double *to);
 /* Where the tool is. */
 void dig_pose_of(dig_pose *pose, const dig_job *job, const double *q);
 /* How far the shell reaches below the edge at a pitch, m. */
@@ -99,11 +103,14 @@ double dig_shell(const dig_job *job, double pitch);
 
 typedef struct dig_drag {
     double from, to, g;
-    double top;                        /* ground above its far end, highest */
-    dig_pose above, over, in, out, up; /* return to; approach to; bottom; end; lifted */
+    double top; /* ground above its far end, highest */
+    /* Return to; approach to; bottom of the far end; end; off the near wall; lifted. */
+    dig_pose above, over, in, out, off, up;
     double q_above[TD_ROBOT_MAX_JOINTS], q_over[TD_ROBOT_MAX_JOINTS], q_in[TD_ROBOT_MAX_JOINTS],
-        q_out[TD_ROBOT_MAX_JOINTS], q_up[TD_ROBOT_MAX_JOINTS];
+        q_out[TD_ROBOT_MAX_JOINTS], q_off[TD_ROBOT_MAX_JOINTS], q_up[TD_ROBOT_MAX_JOINTS];
 } dig_drag;
+/* From upright, of the mouth of a full bucket that is carried, at most. */
+double dig_carry_tilt(const dig_job *job);
 /* The drag from drag->from to drag->to; `fails`: the place along at which it is not reached. */
 bool dig_drag_whole(dig_drag *drag, const dig_job *job, const dig_lane *lane, td_dig_reason *reason,
                     double *fails);

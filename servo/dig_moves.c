@@ -6,8 +6,9 @@
 #include "servo/dig_internal.h"
 
 static const double DEGREE = 0.017453292519943295;
-static const double EMPTY_RAD = 5 * 0.017453292519943295; /* more than what empties the bucket */
-enum { RAISES = 12 };
+static const double EMPTY_RAD = 2 * 0.017453292519943295; /* more than what empties the bucket */
+static const double RAISE_M = 0.02;
+enum { RAISES = 20 };
 
 static td_status add_move(td_dig_plan *plan, td_dig_phase phase, const dig_pass *pass, const dig_job *job,
                           const double *q, td_error *error)
@@ -60,91 +61,103 @@ static td_status not_clear(const char *what, const dig_pass *pass, td_error *err
                    pass->pass + 1, what);
 }
 
+/* A posture by so much higher, where that is reached. */
+static bool raise(dig_pose *pose, double *q, const dig_job *job, double by)
+{
+    double trial[TD_ROBOT_MAX_JOINTS];
+    dig_pose up = *pose;
+    td_dig_reason reason;
+    up.at[2] += by;
+    memcpy(trial, q, (size_t)job->robot->joint_count * sizeof *q);
+    if (!dig_line(trial, job, pose, &up, &reason)) return false;
+    *pose = up;
+    memcpy(q, trial, (size_t)job->robot->joint_count * sizeof *q);
+    return true;
+}
+
 /* From where the arm stands it may have to rise first. */
 static td_status go_above(td_dig_plan *plan, dig_job *job, dig_drag *d, const dig_pass *pass, double *q,
                           td_error *error)
 {
-    const size_t size = (size_t)job->robot->joint_count * sizeof *q;
-    double q_rise[TD_ROBOT_MAX_JOINTS];
+    double q_rise[TD_ROBOT_MAX_JOINTS], where;
     dig_pose start, rise;
-    td_dig_reason reason;
     dig_pose_of(&start, job, q);
-    memcpy(q_rise, q, size);
+    memcpy(q_rise, q, (size_t)job->robot->joint_count * sizeof *q);
     rise = start;
     for (int i = 0; i < RAISES; i++) {
-        const double low = dig_too_low(job, q_rise, d->q_above);
+        const double low = dig_too_low(&where, job, q_rise, d->q_above);
         if (low <= 0) {
             if (rise.at[2] > start.at[2])
                 TD_TRY(add_line(plan, TD_DIG_RETURN, pass, job, &rise, q_rise, error));
             return add_joints(plan, TD_DIG_RETURN, pass, job, d->q_above, error);
         }
-        double trial[TD_ROBOT_MAX_JOINTS];
-        dig_pose up = d->above;
-        up.at[2] += low + 0.02;
-        memcpy(trial, d->q_above, size);
-        if (dig_line(trial, job, &d->above, &up, &reason)) {
-            d->above = up;
-            memcpy(d->q_above, trial, size);
-        }
-        up = rise;
-        up.at[2] += low + 0.02;
-        memcpy(trial, q_rise, size);
-        if (dig_line(trial, job, &rise, &up, &reason)) {
-            rise = up;
-            memcpy(q_rise, trial, size);
-        }
+        if (!(where > 0.4 && raise(&d->above, d->q_above, job, low + RAISE_M)) &&
+            !raise(&rise, q_rise, job, low + RAISE_M))
+            break;
     }
     return not_clear("way back", pass, error);
 }
 
-/* Where the bucket is over the dump with its mouth upright, above the heap; then opened. */
-static bool over_dump(dig_pose *over, dig_pose *open, double *q_over, double *q_open, const dig_job *job,
-                      double raised)
+/* Where the bucket comes to the dump, `tilt` from upright and `short_m` before the point, above the heap;
+ * then opened over the point. */
+static bool come_and_open(dig_pose *over, dig_pose *open, double *q_over, double *q_open, const dig_job *job,
+                          double tilt, double short_m, double raised)
 {
     td_dig_reason reason;
-    const size_t size = (size_t)job->robot->joint_count * sizeof *q_over;
-    memcpy(over->at, job->dump, sizeof over->at);
-    over->pitch = job->upright_rad - 0.25;
-    const double ground = dig_highest(job, over->at, job->request->bucket->width_m / 2);
-    over->at[2] = fmax(over->at[2], ground + job->o.clear_m + dig_shell(job, over->pitch)) + raised;
-    *open = *over;
-    open->pitch = job->upright_rad - (90 * DEGREE + job->o.repose_rad + EMPTY_RAD);
+    double edge[3];
+    dig_edge(edge, job, open->at);
+    const double across = hypot(edge[0], edge[1]);
+    over->pitch = job->upright_rad - tilt;
+    over->at[0] = open->at[0] - short_m * edge[1] / across; /* the edge lies to the left of the arm */
+    over->at[1] = open->at[1] + short_m * edge[0] / across;
+    const double ground = dig_below(job, over->at);
+    open->at[2] = fmax(open->at[2], ground + job->o.clear_m + dig_shell(job, over->pitch)) + raised;
+    over->at[2] = open->at[2];
     if (!dig_line(q_over, job, over, over, &reason)) return false;
-    memcpy(q_open, q_over, size);
+    memcpy(q_open, q_over, (size_t)job->robot->joint_count * sizeof *q_open);
     return dig_line(q_open, job, over, open, &reason);
+}
+
+/* An arm that holds a full bucket out far enough to empty it there is not always long enough: it then opens
+ * on the way out. */
+static bool over_dump(dig_pose *over, dig_pose *open, double *q_over, double *q_open, const dig_job *job,
+                      const double *q, double raised)
+{
+    const double ground = dig_below(job, job->dump);
+    const double tilt = dig_carry_tilt(job);
+    for (int back = 0; back <= 8; back++)
+        for (int tilted = 0; tilted <= (tilt > 0 ? 2 : 0); tilted++) {
+            memcpy(open->at, job->dump, sizeof open->at);
+            open->at[2] = fmax(open->at[2], ground + job->o.clear_m);
+            open->pitch = job->upright_rad - (90 * DEGREE + job->o.repose_rad + EMPTY_RAD);
+            memcpy(q_over, q, (size_t)job->robot->joint_count * sizeof *q);
+            if (come_and_open(over, open, q_over, q_open, job, tilt * tilted / 2, 0.2 * back, raised))
+                return true;
+        }
+    return false;
 }
 
 static td_status carry(td_dig_plan *plan, dig_job *job, dig_drag *d, const dig_pass *pass, double *q,
                        td_error *error)
 {
-    const size_t size = (size_t)job->robot->joint_count * sizeof *q;
-    double q_over[TD_ROBOT_MAX_JOINTS], q_open[TD_ROBOT_MAX_JOINTS], raised = 0;
+    double q_over[TD_ROBOT_MAX_JOINTS], q_open[TD_ROBOT_MAX_JOINTS], raised = 0, where;
     dig_pose over, open;
-    td_dig_reason reason;
     for (int i = 0; i < RAISES; i++) {
-        memcpy(q_over, d->q_up, size);
-        if (!over_dump(&over, &open, q_over, q_open, job, raised))
+        if (!over_dump(&over, &open, q_over, q_open, job, d->q_up, raised))
             return td_fail(
                 error, TD_ERROR_DATA,
                 "dump: the bucket cannot be emptied %.2f m above (%.2f, %.2f) m, as the ground and "
                 "the heap there ask for; take a place that is reached, or a lower one",
                 over.at[2] - job->dump_ground, over.at[0], over.at[1]);
-        const double low = dig_too_low(job, d->q_up, q_over);
+        const double low = dig_too_low(&where, job, d->q_up, q_over);
         if (low <= 0) {
+            TD_TRY(add_line(plan, TD_DIG_LIFT, pass, job, &d->off, d->q_off, error));
             TD_TRY(add_line(plan, TD_DIG_LIFT, pass, job, &d->up, d->q_up, error));
             TD_TRY(add_joints(plan, TD_DIG_CARRY, pass, job, q_over, error));
-            memcpy(q, q_open, size);
+            memcpy(q, q_open, (size_t)job->robot->joint_count * sizeof *q);
             return add_line(plan, TD_DIG_DUMP, pass, job, &open, q_open, error);
         }
-        double trial[TD_ROBOT_MAX_JOINTS];
-        dig_pose up = d->up;
-        up.at[2] += low + 0.02;
-        memcpy(trial, d->q_up, size);
-        if (dig_line(trial, job, &d->up, &up, &reason)) {
-            d->up = up;
-            memcpy(d->q_up, trial, size);
-        }
-        raised += low + 0.02;
+        if (where > 0.4 || !raise(&d->up, d->q_up, job, low + RAISE_M)) raised += low + RAISE_M;
     }
     return not_clear("way to the dump", pass, error);
 }

@@ -164,7 +164,7 @@ static td_status set_dump(dig_job *job, double trench_m3, td_error *error)
     const td_dig_request *r = job->request;
     memcpy(job->dump, r->dump->at_m, sizeof job->dump);
     if (r->frame == TD_TASK_VEHICLE) td_pose_transform(job->dump, r->site_from_vehicle, r->dump->at_m);
-    job->dump_ground = dig_highest(job, job->dump, r->bucket->width_m / 2);
+    job->dump_ground = dig_below(job, job->dump);
     if (isinf(job->dump_ground))
         return td_fail(error, TD_ERROR_DATA,
                        "dump: the ground at (%.2f, %.2f) m is unknown; dump elsewhere, or map it",

@@ -258,10 +258,9 @@ void dig_pose_of(dig_pose *pose, const dig_job *job, const double *q)
     *pose = tool_at(job, at);
 }
 
-double dig_too_low(const dig_job *job, const double *from, const double *to)
+double dig_too_low(double *where, const dig_job *job, const double *from, const double *to)
 {
     enum { PARTS = 40 };
-    const double radius = job->request->bucket->width_m / 2 + job->heel_m / 2;
     td_pose at[TD_ROBOT_MAX_LINKS];
     double lowest[PARTS + 1], ground[PARTS + 1], highest = -INFINITY, worst = -INFINITY;
     for (int i = 0; i <= PARTS; i++) {
@@ -270,10 +269,15 @@ double dig_too_low(const dig_job *job, const double *from, const double *to)
         forward(at, job, q);
         const dig_pose p = tool_at(job, at);
         lowest[i] = fmin(p.at[2] - dig_shell(job, p.pitch), at[job->pin].t[2] - ARM_KEEPS_M);
-        ground[i] = dig_highest(job, p.at, radius);
+        ground[i] = dig_below(job, p.at);
         highest = fmax(highest, ground[i]);
     }
-    for (int i = 0; i <= PARTS; i++) /* over unknown ground the highest that is known on the way counts */
-        worst = fmax(worst, (isinf(ground[i]) ? highest : ground[i]) + job->o.clear_m - lowest[i]);
+    *where = 0;
+    for (int i = 0; i <= PARTS; i++) { /* over unknown ground the highest that is known on the way counts */
+        const double low = (isinf(ground[i]) ? highest : ground[i]) + job->o.clear_m - lowest[i];
+        if (!(low > worst)) continue;
+        worst = low;
+        *where = (double)i / PARTS;
+    }
     return worst;
 }
