@@ -69,7 +69,7 @@ td_status session_sample(session *x, td_error *error)
     const bool pressing = x->out.drive == TD_DRIVE_SIMULATE && x->step < x->steps && x->step_begun &&
                           x->setup->task->step[x->step].kind == TD_TASK_PRESS;
     a->press_n = pressing ? x->press.force_n : NAN;
-    a->loose = session_cuts(x) || !(x->step < x->steps) ||
+    a->loose = session_cuts(x) || !x->step_begun || !(x->step < x->steps) ||
                (x->step >= 0 && x->setup->task->step[x->step].kind == TD_TASK_DRIVE);
     if (x->machine) {
         double force[3];

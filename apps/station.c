@@ -5,9 +5,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Of a shaft's update, and the speed below which its resistance falls off: 50 kN that are held for 20 ms on
- * an arm of 2 t move it by 5 mm. */
-static const double SOIL_PERIOD_S = 0.01, STILL_M_S = 0.03;
+/* The soil's force is held between its updates, and like friction turns with the motion: twice its own rate,
+ * and a resistance that is whole only from three times its own speed on, keep the bucket from shaking. */
+static const double SOIL_PERIOD_S = 0.01, SLIP_M_S = 0.03;
 
 struct station {
     const td_robot *robot;
@@ -21,13 +21,10 @@ struct station {
     bool changed;                /* the soil moved since `now` was taken */
     int bucket_link;
     td_soil_state felt; /* at the soil's last update */
-    double way[3];      /* of the edge, site's axes, m/s, at that update */
-    double edge[3], edge_s;
     double peak_n;
     int64_t total_mg;
     td_status failed; /* of the soil, within a step of the world */
     td_error why;
-    double clock_s; /* what the world's time is ahead of its own */
 };
 
 /* ---- the soil under the bucket ---- */
@@ -45,7 +42,8 @@ static double length(const double v[3])
 }
 
 /* A torque as two forces, one metre apart across it: f = T x a. */
-static td_status push_torque(td_world *world, int link, const double torque[3], const double at[3])
+static td_status push_torque(td_world *world, int link, const double torque[3], const double at[3],
+                             td_error *error)
 {
     const int flat = fabs(torque[0]) < fabs(torque[1])   ? (fabs(torque[0]) < fabs(torque[2]) ? 0 : 2)
                      : fabs(torque[1]) < fabs(torque[2]) ? 1
@@ -66,56 +64,24 @@ static td_status push_torque(td_world *world, int link, const double torque[3], 
         back[c] = -force[c];
         point[c] = at[c] + arm[c];
     }
-    TD_TRY(td_world_push(world, link, force, point, NULL));
-    return td_world_push(world, link, back, at, NULL);
+    TD_TRY(td_world_push(world, link, force, point, error));
+    return td_world_push(world, link, back, at, error);
 }
 
-/* What is held between two updates is that of the speed at the last one: it follows tanh(speed / slip) down,
- * never up, and is none where the bucket goes the other way. */
-static double share_of(const station *s, const double edge[3], double dt)
-{
-    const double then = length(s->way);
-    double now = 0;
-    if (!(then > 1e-6) || !(dt > 0)) return 1;
-    for (int c = 0; c < 3; c++) now += (edge[c] - s->edge[c]) / dt * s->way[c] / then;
-    return fmax(0, fmin(1, tanh(now / STILL_M_S)));
-}
-
+/* Held from one update of the soil to the next. */
 static void feel(void *user, td_world *world)
 {
     station *s = user;
-    if (s->failed != TD_OK) return;
     const double dt = td_world_options_default(s->robot).step_s;
-    const td_soil_bucket bucket = station_bucket(s);
     const td_pose at = bucket_pose(s);
-    const uint64_t before = s->felt.updates;
-    double edge[3], force[3], torque[3], arm[3];
+    if (s->failed != TD_OK) return;
     s->failed = td_soil_step(s->soil, &at, dt, &s->why);
     if (s->failed != TD_OK) return;
     td_soil_get(&s->felt, s->soil);
-    td_pose_transform(edge, &at, bucket.edge);
-    s->edge_s += dt;
-    const double share = s->felt.updates == before ? share_of(s, edge, dt) : 1;
-    if (s->felt.updates != before) s->edge_s = 0;
-    for (int c = 0; c < 3; c++) {
-        s->way[c] = s->felt.updates != before ? (edge[c] - s->edge[c]) / dt : s->way[c];
-        s->edge[c] = edge[c];
-    }
     s->peak_n = fmax(s->peak_n, s->felt.cutting_n);
     s->changed = true;
-    /* The load's weight stays, whatever the speed. */
-    const double weight[3] = {0, 0, -1e-6 * (double)s->felt.bucket_mg * 9.80665};
-    double centre[3];
-    td_pose_rotate(centre, &at, bucket.centre);
-    for (int c = 0; c < 3; c++) force[c] = s->felt.force[c] - weight[c];
-    for (int c = 0; c < 3; c++) {
-        const int i = (c + 1) % 3, k = (c + 2) % 3;
-        arm[c] = centre[i] * weight[k] - centre[k] * weight[i];
-        torque[c] = share * (s->felt.torque[c] - arm[c]) + arm[c];
-    }
-    for (int c = 0; c < 3; c++) force[c] = share * force[c] + weight[c];
-    td_world_push(world, s->bucket_link, force, at.t, NULL);
-    push_torque(world, s->bucket_link, torque, at.t);
+    s->failed = td_world_push(world, s->bucket_link, s->felt.force, at.t, &s->why);
+    if (s->failed == TD_OK) s->failed = push_torque(world, s->bucket_link, s->felt.torque, at.t, &s->why);
 }
 
 static double soil_height(void *user, double x, double y)
@@ -137,6 +103,7 @@ static td_status make_soil(station *s, const td_elevation *map, td_error *error)
     const td_soil_bucket bucket = station_bucket(s);
     td_soil_options o = td_soil_options_default();
     o.period_s = SOIL_PERIOD_S;
+    o.slip_m_s = SLIP_M_S;
     td_soil_free(&s->soil);
     s->felt = (td_soil_state){0};
     if (!s->ground.has_soil) return TD_OK;
@@ -173,9 +140,6 @@ static td_status begin(station *s, const td_plant_state *start, td_error *error)
     TD_TRY(s->failed == TD_OK ? TD_OK : td_fail(error, s->failed, "%s", s->why.message));
     TD_TRY(add_stones(s, error));
     td_world_state(s->world, &s->start);
-    const td_pose at = bucket_pose(s);
-    const td_soil_bucket bucket = station_bucket(s);
-    td_pose_transform(s->edge, &at, bucket.edge);
     return TD_OK;
 }
 
