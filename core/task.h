@@ -13,8 +13,8 @@
  *     - position: {joints: {boom_deg: -30, arm_deg: 90}}      (NAME_deg; of one that slides NAME_m)
  *     - drive: {to: {x_m: 2, y_m: 0, yaw_deg: 0}, speed_m_s: 0.5}
  *     - drive: {distance_m: 3, turn_deg: 20}                  (an arc; or one of the two)
- *     - dig: {from: {x_m: 7, y_m: 0, z_m: 0}, heading_deg: 180, length_m: 2, depth_m: 0.4, width_m: 1,
- * force_n: 40000}
+ *     - dig: {from: {x_m: 7, y_m: 0, z_m: 0}, heading_deg: 180, length_m: 2, depth_m: 0.4, width_m: 1.2,
+ *            force_n: 40000}
  *     - dump: {at: {x_m: 3, y_m: 5, z_m: 2}}
  *     - press: {axis: [0, 0, -1], force_n: 20000, for_s: 3, approach_speed_m_s: 0.02, most_travel_m: 0.3}
  *     - wait: {for_s: 1}
@@ -80,14 +80,16 @@ typedef struct td_task_drive {
     double speed_m_s;            /* 0: the machine's own */
 } td_task_drive;
 
-/* One cut: in at `from`, along the heading, out at its end. */
+/* A trench: from `from` along the heading, in as many passes as the tool needs (servo/dig_plan.h). The ground
+ * is the map's, as it was when the digging began: what was dug since does not make the trench deeper. */
 typedef struct td_task_dig {
-    td_task_point from; /* on the ground */
-    bool has_heading;   /* else towards the machine */
+    td_task_point from; /* on the ground: the middle of its far end */
+    bool has_heading;   /* else towards the machine, along the ground */
     double heading_deg; /* in the frame's level plane, from x to the left */
-    double length_m, depth_m;
-    double width_m; /* 0: the tool's own */
-    double force_n; /* the most; INFINITY: what the machine can */
+    double length_m;    /* along the heading */
+    double depth_m;     /* of its floor below the ground as it was */
+    double width_m;     /* across; 0: the tool's own */
+    double force_n;     /* the most; INFINITY: what the machine can */
 } td_task_dig;
 
 typedef struct td_task_press {

@@ -9,8 +9,8 @@ static const double PI = 3.14159265358979323846, DEGREE = 0.017453292519943295;
 static const double STEP_M = 0.1;
 static const double OVER_M = 0.1; /* above the ground where the approach ends */
 static const double OFF_WALL_M = 0.2;
-static const double SPARE_RAD = 10 * 0.017453292519943295; /* less than the tilt at which it spills */
-static const double TURN = 5 * 0.017453292519943295;       /* between two tries of a pitch */
+static const double SPARE_RAD = 3 * 0.017453292519943295; /* less than the tilt at which it spills */
+static const double TURN = 5 * 0.017453292519943295;      /* between two tries of a pitch */
 
 /* Direction of the drag, as a pitch. */
 static double way_of(const dig_job *job)
@@ -58,10 +58,10 @@ static bool lift(dig_drag *d, const dig_job *job, const dig_lane *lane, td_dig_r
 {
     const double back = fmin(OFF_WALL_M, 0.4 * (d->to - d->from));
     const double top = fmax(d->top, top_at(job, lane, d->to)) + job->o.clear_m;
-    for (int tilted = 0; tilted <= 2; tilted++) {
-        const double upright = fmax(job->upright_rad - dig_carry_tilt(job) * tilted / 2, d->out.pitch);
+    for (int tilted = 0; tilted <= 3; tilted++) {
+        const double upright = fmax(job->upright_rad - dig_carry_tilt(job) * tilted / 3, d->out.pitch);
         dig_place(d->off.at, job, d->to - back, lane->t, d->g + back);
-        d->off.pitch = (d->out.pitch + upright) / 2;
+        d->off.pitch = d->out.pitch;
         d->up = d->off;
         d->up.pitch = upright;
         d->up.at[2] = top + dig_shell(job, upright);

@@ -126,12 +126,12 @@ static bool over_dump(dig_pose *over, dig_pose *open, double *q_over, double *q_
     const double ground = dig_below(job, job->dump);
     const double tilt = dig_carry_tilt(job);
     for (int back = 0; back <= 8; back++)
-        for (int tilted = 0; tilted <= (tilt > 0 ? 2 : 0); tilted++) {
+        for (int tilted = 0; tilted <= (tilt > 0 ? 3 : 0); tilted++) {
             memcpy(open->at, job->dump, sizeof open->at);
             open->at[2] = fmax(open->at[2], ground + job->o.clear_m);
             open->pitch = job->upright_rad - (90 * DEGREE + job->o.repose_rad + EMPTY_RAD);
             memcpy(q_over, q, (size_t)job->robot->joint_count * sizeof *q);
-            if (come_and_open(over, open, q_over, q_open, job, tilt * tilted / 2, 0.2 * back, raised))
+            if (come_and_open(over, open, q_over, q_open, job, tilt * tilted / 3, 0.2 * back, raised))
                 return true;
         }
     return false;

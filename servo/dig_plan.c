@@ -306,10 +306,12 @@ static td_status refuse_part(const dig_job *job, const dig_lane *lane, td_error 
 {
     if (lane->done) return refuse_far(job, lane, error);
     if (lane->g > 0)
-        return td_fail(error, TD_ERROR_DATA,
-                       "dig: depth_m: the floor is too deep (%s): it can be dug to %.2f m above it; dig less "
-                       "deep, or drive",
-                       td_dig_reason_name(lane->reason), lane->g);
+        return td_fail(
+            error, TD_ERROR_DATA,
+            "dig: depth_m: the floor is too deep%s: only down to %.2f m above it can be dug, from %.2f to "
+            "%.2f m along; dig less deep, drive, or let it be dug partly",
+            lane->reason == TD_DIG_BLOCKED ? ", the arm would touch the ground" : "", lane->g,
+            fmax(lane->from, 0), fmin(lane->to, job->floor.length_m));
     return td_fail(
         error, TD_ERROR_DATA,
         "dig: of the trench's length, 0 to %.2f m, only %.2f to %.2f m can be dug (%s at its %s end); "
@@ -323,10 +325,11 @@ static void add_left(td_dig_plan *plan, const dig_job *job, const dig_lane *lane
     dig_lane part = *lane;
     part.from = from, part.to = to, part.g = 0;
     td_dig_left *left = plan->left + plan->left_count;
-    *left = (td_dig_left){.reason = lane->reason, .from_m = from, .to_m = to};
+    *left =
+        (td_dig_left){.reason = lane->reason, .from_m = fmax(from, 0), .to_m = fmin(to, job->floor.length_m)};
     left->volume_m3 = dig_above(job, &part, 0);
     snprintf(left->text, sizeof left->text, "%.2f m^3 from %.2f to %.2f m along, %+.2f m to the left: %s",
-             left->volume_m3, from, to, lane->t, td_dig_reason_name(lane->reason));
+             left->volume_m3, left->from_m, left->to_m, lane->t, td_dig_reason_name(lane->reason));
     plan->left_count++;
 }
 
@@ -339,7 +342,7 @@ static td_status list_left(td_dig_plan *plan, const dig_job *job, const dig_lane
     for (int i = 0; i < count; i++) {
         if (lane[i].from > lane[i].first + CLIPPED_M)
             add_left(plan, job, lane + i, lane[i].first, lane[i].from);
-        if (lane[i].g > 0 && !lane[i].done) add_left(plan, job, lane + i, lane[i].from, lane[i].to);
+        if (lane[i].g > 0) add_left(plan, job, lane + i, lane[i].from, lane[i].to);
         if (lane[i].to < lane[i].last - CLIPPED_M) add_left(plan, job, lane + i, lane[i].to, lane[i].last);
     }
     return TD_OK;

@@ -18,6 +18,10 @@ enum { CASES = 2 };
 enum { CASES = 6 };
 #endif
 
+/* Half of what the bucket's cylinder does at the edge, 195.4 kN m over 1.562 m: an edge that rises along the
+ * near wall cuts it, which takes 120 kN up. */
+static const double LIFT_N = 62.5e3;
+
 typedef struct ground_case {
     const char *name;
     double slope_x, slope_y, bump_m, yaw;       /* of the ground; of the machine on it */
@@ -104,7 +108,8 @@ static void soil_agrees(const scene *s, const td_dig_plan *plan, const replayed 
     check_near(r->spilt_m3, 0, 0.01 * plan->loose_m3);
     check_less(r->fullest_m3, s->bucket.struck_m3);
     check_less(r->touched_m, 1e-9);
-    check_less(-0.03, r->heel_m);
+    check_less(0, r->heel_m);
+    check_less(r->cutting_n[2], LIFT_N);
     check_less(rms, 0.01);
 }
 
@@ -194,19 +199,21 @@ static void places_are_refused_by_name(void **state)
     const td_task_dig dig = s.dig;
     const td_task_point dump = s.dump;
     request_of(&s);
-    s.dig.from.at_m[0] = 8.9;
-    refused(&s, TD_ERROR_DATA, "only");
-    s.dig.from.at_m[0] = 8.9, s.dig.length_m = 0.8;
-    refused(&s, TD_ERROR_DATA, "the nearest of its kind that is not begins at (8.");
+    s.site_from_vehicle.t[0] = -1;
+    s.dig.from.at_m[0] = 8.4, s.dig.length_m = 3;
+    refused(&s, TD_ERROR_DATA, "of the trench's length, 0 to 3.00 m, only 0.");
+    s.dig.length_m = 0.5;
+    refused(&s, TD_ERROR_DATA, "the nearest of its kind that is not begins at (");
+    s.site_from_vehicle.t[0] = 0;
     s.dig = dig, s.dig.depth_m = 5;
     refused(&s, TD_ERROR_DATA, "too deep");
     s.dig = dig, s.dig.width_m = 0.9;
     refused(&s, TD_ERROR_ARGUMENT, "as wide as the bucket");
     s.dig = dig, s.dig.has_heading = true, s.dig.heading_deg = 130;
-    refused(&s, TD_ERROR_DATA, "50 deg off");
+    refused(&s, TD_ERROR_DATA, "59 deg off");
     s.dig = dig, s.dig.from.at_m[2] = 1;
     refused(&s, TD_ERROR_DATA, "not on the ground");
-    s.dig = dig, s.dig.from.at_m[1] = 8.8, s.dig.from.at_m[0] = 1;
+    s.dig = dig, s.dig.from.at_m[0] = s.dig.from.at_m[1] = 8.8;
     refused(&s, TD_ERROR_DATA, "beside the map");
     s.dig = dig;
     s.dump.at_m[0] = 5, s.dump.at_m[1] = 1.2;
@@ -269,7 +276,8 @@ static void what_is_out_of_reach_is_left_and_told(void **state)
     td_dig_plan *plan = NULL;
     o.partly = true;
     request_of(&s);
-    s.dig.from.at_m[0] = 8.9, s.dig.length_m = 3;
+    s.site_from_vehicle.t[0] = -1;
+    s.dig.from.at_m[0] = 8.4, s.dig.length_m = 3;
     check_ok(td_dig_plan_make(&plan, &s.request, &o, &error), error);
     assert_int_equal(plan->left_count, 1);
     assert_true(plan->left[0].reason == TD_DIG_TOO_FAR && plan->pass_count > 0);
@@ -280,11 +288,17 @@ static void what_is_out_of_reach_is_left_and_told(void **state)
     check_near(r.dug_m3, plan->cut_m3, 0.02 * plan->cut_m3);
     td_elevation_free(&r.map);
     td_dig_plan_free(&plan);
-    s.dig.from.at_m[0] = 7, s.dig.length_m = 1.5, s.dig.depth_m = 5;
+    s.site_from_vehicle.t[0] = 0;
+    s.dig.from.at_m[0] = 7, s.dig.length_m = 2.6, s.dig.depth_m = 5;
     check_ok(td_dig_plan_make(&plan, &s.request, &o, &error), error);
-    assert_true(plan->left_count == 1 && plan->left[0].reason != TD_DIG_TOO_FAR && plan->pass_count > 0);
-    check_near(plan->left[0].volume_m3, plan->left_m3, 0.1);
-    printf("%s\n", plan->left[0].text);
+    double left = 0;
+    for (int i = 0; i < plan->left_count; i++) {
+        printf("%s\n", plan->left[i].text);
+        left += plan->left[i].volume_m3;
+        assert_true(plan->left[i].reason != TD_DIG_TOO_FAR);
+    }
+    check_near(left, plan->left_m3, 0.02 * plan->trench_m3);
+    check_less(0.3 * plan->trench_m3, plan->cut_m3);
     td_dig_plan_free(&plan);
     free_scene(&s);
 }
