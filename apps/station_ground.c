@@ -227,5 +227,13 @@ td_status station_ground_map(td_elevation **map, const station_ground *g, const 
         snprintf(tif, sizeof tif, "%s", g->map);
     else
         TD_TRY(make_site(tif, g, output, threads, progress, error));
+    int columns = 0, rows = 0;
+    TD_TRY(td_elevation_size(&columns, &rows, tif, error));
+    if (columns > TD_SOIL_MAX_CELLS / rows)
+        return td_fail(
+            error, TD_ERROR_DATA,
+            "%s: %d x %d cells are more than the %d that a ground may have; cut out the part around "
+            "the machine, or take larger cells",
+            tif, columns, rows, TD_SOIL_MAX_CELLS);
     return td_elevation_read(map, tif, error);
 }

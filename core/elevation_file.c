@@ -204,17 +204,34 @@ static td_status read_open(td_elevation **map, reading *r, td_error *error)
     return status;
 }
 
-td_status td_elevation_read(td_elevation **map, const char *path, td_error *error)
+static td_status open_file(reading *r, const char *path, td_error *error)
 {
-    reading r = {.path = path};
     char reason[TD_RASTER_REASON_SIZE];
     int fd = -1;
-    *map = NULL;
+    *r = (reading){.path = path};
     TD_TRY(td_file_open(&fd, path, error));
     close(fd);
-    TD_TRY(td_raster_load(&r.module, path, error));
-    if (!r.module->open(&r.raster, &r.info, path, reason))
+    TD_TRY(td_raster_load(&r->module, path, error));
+    if (!r->module->open(&r->raster, &r->info, path, reason))
         return td_fail(error, TD_ERROR_FORMAT, "%s: is not a GeoTIFF that can be read: %s", path, reason);
+    return TD_OK;
+}
+
+td_status td_elevation_size(int *columns, int *rows, const char *path, td_error *error)
+{
+    reading r;
+    TD_TRY(open_file(&r, path, error));
+    *columns = r.info.columns;
+    *rows = r.info.rows;
+    r.module->close(r.raster);
+    return TD_OK;
+}
+
+td_status td_elevation_read(td_elevation **map, const char *path, td_error *error)
+{
+    reading r;
+    *map = NULL;
+    TD_TRY(open_file(&r, path, error));
     td_status status = read_open(map, &r, error);
     r.module->close(r.raster);
     return status;
@@ -225,11 +242,11 @@ td_status td_elevation_read(td_elevation **map, const char *path, td_error *erro
 static bool write_notes(const td_raster_module *module, void *raster, const td_elevation *map)
 {
     char x[TD_NUMBER_SIZE], y[TD_NUMBER_SIZE];
-    bool fine =
-        module->set_note(raster, "TELEDIMOS_FRAME", map->frame) &&
-        module->set_note(raster, origin_note[0], td_number_format(x, map->origin[0], 0)) &&
-        module->set_note(raster, origin_note[1], td_number_format(y, map->origin[1], 0)) &&
-        module->set_note(raster, "TELEDIMOS_PROVENANCE", "0 unknown, 1 prior, 2 measured, 3 fused, 4 filled, 5 simulated");
+    bool fine = module->set_note(raster, "TELEDIMOS_FRAME", map->frame) &&
+                module->set_note(raster, origin_note[0], td_number_format(x, map->origin[0], 0)) &&
+                module->set_note(raster, origin_note[1], td_number_format(y, map->origin[1], 0)) &&
+                module->set_note(raster, "TELEDIMOS_PROVENANCE",
+                                 "0 unknown, 1 prior, 2 measured, 3 fused, 4 filled, 5 simulated");
     for (int b = 0; fine && b < BANDS; b++)
         fine = module->set_band(raster, b + 1, bands[b].name, bands[b].unit);
     return fine;
