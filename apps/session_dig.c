@@ -16,6 +16,9 @@ static const double STALL_S = 3, STALL_PACE = 0.05;
 static const double RAISE_M_S = 0.4, LOWER_M_S = 0.05, RAISE_MOST_M = 1;
 static const double EMPTY_KG = 5, OPEN_SHARE = 0.05; /* of the last joint's range */
 static const double BODY_M = 0.72;                   /* of the shell of the zx200's bucket */
+/* Of the machine's weight, what it cuts with at most, whatever the task allows: with more it drags or lifts
+ * itself, and leaps when the soil gives way. */
+static const double HOLDS = 0.4;
 enum { ROUNDS = 3 };
 static const double WORTH_SHARE = 0.05; /* of the trench: another round is made for it */
 
@@ -211,11 +214,19 @@ static td_status finish(session *x, td_error *error)
     return TD_OK;
 }
 
+static double holds(const session *x)
+{
+    const double *g = x->s->options.gravity;
+    double mass = 0;
+    for (int i = 0; i < x->s->robot->link_count; i++) mass += x->s->robot->link[i].mass_kg;
+    return HOLDS * mass * hypot(hypot(g[0], g[1]), g[2]);
+}
+
 /* By how much the edge is raised: up fast where the soil asks for too much, down slowly where it does not. */
 static td_status keep_force(session *x, td_error *error)
 {
     session_dig *d = &x->dig;
-    const double most = x->setup->task->step[x->step].as.dig.force_n, T = x->s->period_s;
+    const double most = fmin(x->setup->task->step[x->step].as.dig.force_n, holds(x)), T = x->s->period_s;
     const double force = station_soil(x->station).cutting_n;
     char text[200];
     if (force > most)
@@ -225,7 +236,7 @@ static td_status keep_force(session *x, td_error *error)
     x->run->dug.raised_m = fmax(x->run->dug.raised_m, d->raise_m);
     if (!(force > most) || d->raised) return TD_OK;
     d->raised = true;
-    snprintf(text, sizeof text, "%.1f kN are more than the %.1f kN that the task allows: the edge is raised",
+    snprintf(text, sizeof text, "%.1f kN are more than the %.1f kN that are allowed: the edge is raised",
              1e-3 * force, 1e-3 * most);
     return session_note(x, NOTE_MESSAGE, "force", text, error);
 }

@@ -12,6 +12,10 @@ const gate_row task_gate_defaults[] = {
      "distance of the tool from where it should be at the end, over the task's tolerance of position"},
     {"deviation_share", 1, INFINITY,
      "largest distance of the tool from where it should be on its way, over that tolerance; pressing apart"},
+    {"left_share", 0.05, 0.3,
+     "on the ground: what stands above the floors of the trenches at the end, of what was to be dug: where "
+     "it "
+     "is a third the trench is none"},
     {"deadline_misses", 0, INFINITY,
      "--live: missed deadlines; where one is to stop the session (on_miss: stop), that refuses by itself"},
 };
@@ -148,6 +152,12 @@ void task_judge(task_job *j, const gate_row *rows)
         "on its way the tool was up to %.0f mm from where it should be (tolerance %.0f mm): plan slower, "
         "by duration_s or limits",
         1e3 * deviation_max(run), 1e3 * tolerance);
+    const task_dug *d = &run->dug;
+    if (run->simulated && d->planned_m3 > 0)
+        gate_check(g, rows, task_gate_count, "left_share", d->left_m3 / d->planned_m3,
+                   "%.2f of %.2f m3 still stand above the floor of the trench: the soil is too hard for the "
+                   "force, or the way was blocked (events)",
+                   d->left_m3, d->planned_m3);
     gate_check(g, rows, task_gate_count, "deadline_misses", (double)run->live.counts.misses,
                "%llu of %llu deadlines were missed", (unsigned long long)run->live.counts.misses,
                (unsigned long long)run->live.counts.ticks);

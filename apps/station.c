@@ -5,9 +5,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* The soil's force is held between its updates, and like friction turns with the motion: twice its own rate,
- * and a resistance that is whole only from three times its own speed on, keep the bucket from shaking. */
-static const double SOIL_PERIOD_S = 0.01, SLIP_M_S = 0.03;
+/* Twice the soil's own rate: like friction its force turns with the motion. */
+static const double SOIL_PERIOD_S = 0.01;
+static const double ARM_KG = 1500; /* of arm and bucket at the edge, on the safe side */
 
 struct station {
     const td_robot *robot;
@@ -21,6 +21,7 @@ struct station {
     bool changed;                /* the soil moved since `now` was taken */
     int bucket_link;
     td_soil_state felt; /* at the soil's last update */
+    double edge[3];     /* a step of the world ago */
     double peak_n;
     int64_t total_mg;
     td_status failed; /* of the soil, within a step of the world */
@@ -68,20 +69,45 @@ static td_status push_torque(td_world *world, int link, const double torque[3], 
     return td_world_push(world, link, back, at, error);
 }
 
-/* Held from one update of the soil to the next. */
+/* Of what resists, F, no more than stops the edge within a step of the world: it is held from one update of
+ * the soil to the next, and would throw back what it has stopped (the floor on hard ground: 1 MN). */
+static double share_of(const station *s, const double resists[3], const double edge[3], double dt)
+{
+    const double size = length(resists);
+    double against = 0;
+    if (!(size > 0)) return 0;
+    for (int c = 0; c < 3; c++) against -= resists[c] / size * (edge[c] - s->edge[c]) / dt;
+    return fmax(0, fmin(1, against * ARM_KG / (size * dt)));
+}
+
 static void feel(void *user, td_world *world)
 {
     station *s = user;
     const double dt = td_world_options_default(s->robot).step_s;
     const td_pose at = bucket_pose(s);
+    const td_soil_bucket bucket = station_bucket(s);
+    double edge[3], centre[3], force[3], torque[3], resists[3];
     if (s->failed != TD_OK) return;
     s->failed = td_soil_step(s->soil, &at, dt, &s->why);
     if (s->failed != TD_OK) return;
     td_soil_get(&s->felt, s->soil);
-    s->peak_n = fmax(s->peak_n, s->felt.cutting_n);
     s->changed = true;
-    s->failed = td_world_push(world, s->bucket_link, s->felt.force, at.t, &s->why);
-    if (s->failed == TD_OK) s->failed = push_torque(world, s->bucket_link, s->felt.torque, at.t, &s->why);
+    td_pose_transform(edge, &at, bucket.edge);
+    td_pose_rotate(centre, &at, bucket.centre);
+    const double weight[3] = {0, 0, -1e-6 * (double)s->felt.bucket_mg * td_soil_options_default().gravity};
+    for (int c = 0; c < 3; c++) resists[c] = s->felt.force[c] - weight[c];
+    const double share = share_of(s, resists, edge, dt);
+    s->felt.cutting_n *= share;
+    s->peak_n = fmax(s->peak_n, s->felt.cutting_n);
+    for (int c = 0; c < 3; c++) {
+        const int i = (c + 1) % 3, k = (c + 2) % 3;
+        const double of_weight = centre[i] * weight[k] - centre[k] * weight[i];
+        force[c] = share * resists[c] + weight[c];
+        torque[c] = share * (s->felt.torque[c] - of_weight) + of_weight;
+    }
+    memcpy(s->edge, edge, sizeof s->edge);
+    s->failed = td_world_push(world, s->bucket_link, force, at.t, &s->why);
+    if (s->failed == TD_OK) s->failed = push_torque(world, s->bucket_link, torque, at.t, &s->why);
 }
 
 static double soil_height(void *user, double x, double y)
@@ -103,7 +129,6 @@ static td_status make_soil(station *s, const td_elevation *map, td_error *error)
     const td_soil_bucket bucket = station_bucket(s);
     td_soil_options o = td_soil_options_default();
     o.period_s = SOIL_PERIOD_S;
-    o.slip_m_s = SLIP_M_S;
     td_soil_free(&s->soil);
     s->felt = (td_soil_state){0};
     if (!s->ground.has_soil) return TD_OK;
