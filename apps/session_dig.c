@@ -12,7 +12,8 @@
 #include "core/linalg.h"
 
 static const double LAG_M = 0.08, HELD_M = 0.25; /* the tool behind: from where on slower; where held */
-static const double STALL_S = 3, STALL_PACE = 0.05;
+static const double STALL_S = 3, STALL_PACE = 0.05,
+                    CREEPS = 0.2; /* out of the ground it never stands still */
 static const double RAISE_M_S = 0.4, LOWER_M_S = 0.05, RAISE_MOST_M = 1;
 static const double EMPTY_KG = 5, OPEN_SHARE = 0.05; /* of the last joint's range */
 static const double BODY_M = 0.72;                   /* of the shell of the zx200's bucket */
@@ -253,13 +254,20 @@ static td_status give_up(session *x, double lag, td_error *error)
     return session_note(x, NOTE_MESSAGE, "stall", text, error);
 }
 
+/* How far the tool is behind, and how fast the motion may go on for it. */
+static double pace_of(double *lag, const session *x)
+{
+    const td_pose wanted = session_tool(x, x->wanted, &x->state.site_from_vehicle),
+                  is = session_tool(x, x->state.q, &x->state.site_from_vehicle);
+    *lag = hypot(hypot(wanted.t[0] - is.t[0], wanted.t[1] - is.t[1]), wanted.t[2] - is.t[2]);
+    return fmax(0, fmin(1, 1 - (*lag - LAG_M) / (HELD_M - LAG_M)));
+}
+
 static td_status cut_on(session *x, td_error *error)
 {
     session_dig *d = &x->dig;
-    const td_pose wanted = session_tool(x, x->wanted, &x->state.site_from_vehicle),
-                  is = session_tool(x, x->state.q, &x->state.site_from_vehicle);
-    const double lag = hypot(hypot(wanted.t[0] - is.t[0], wanted.t[1] - is.t[1]), wanted.t[2] - is.t[2]);
-    const double pace = fmax(0, fmin(1, 1 - (lag - LAG_M) / (HELD_M - LAG_M)));
+    double lag;
+    const double pace = pace_of(&lag, x);
     TD_TRY(keep_force(x, error));
     d->stalled_s = pace < STALL_PACE ? d->stalled_s + x->s->period_s : 0;
     if (d->stalled_s >= STALL_S) {
@@ -283,37 +291,40 @@ td_status session_dig_on(session *x, td_error *error)
         else
             TD_TRY(finish(x, error));
     }
-    return session_follow(x, 1, error);
+    double lag;
+    return session_follow(x, session_digs(x) && x->motion ? fmax(CREEPS, pace_of(&lag, x)) : 1, error);
 }
 
 /* ---- the raised edge ---- */
 
+/* The tool straight up, its attitude kept: damped least squares of the joints. */
 void session_raise(double *q, const session *x)
 {
-    enum { N = TD_ROBOT_MAX_JOINTS };
+    enum { N = TD_ROBOT_MAX_JOINTS, ROWS = 4 };
+    static const double y[3] = {0, 1, 0};
     const int n = x->s->robot->joint_count;
-    const double up[3] = {0, 0, x->dig.raise_m};
-    double jacobian[6 * N], row[3 * N], square[9];
-    td_pose at[TD_ROBOT_MAX_LINKS], tool;
+    double jacobian[6 * N], row[ROWS * N], square[ROWS * ROWS], across[3];
+    td_pose at[TD_ROBOT_MAX_LINKS];
     if (!(x->dig.raise_m > 0)) return;
     td_robot_forward(at, x->s->robot, q);
     td_robot_jacobian(jacobian, x->s->robot, at, x->tool_link);
-    tool = td_pose_compose(at + x->tool_link, &x->link_from_tool);
-    for (int k = 0; k < n; k++)
+    const td_pose tool = td_pose_compose(at + x->tool_link, &x->link_from_tool);
+    td_pose_rotate(across, &tool, y);
+    for (int k = 0; k < n; k++) {
+        row[3 * n + k] = 0;
         for (int i = 0; i < 3; i++) {
             const int a = (i + 1) % 3, b = (i + 2) % 3;
             row[i * n + k] =
                 jacobian[(3 + i) * n + k] + jacobian[a * n + k] * tool.t[b] - jacobian[b * n + k] * tool.t[a];
+            row[3 * n + k] += across[i] * jacobian[i * n + k];
         }
-    td_multiply_transposed(square, row, row, 3, (size_t)n, 3);
-    for (int i = 0; i < 3; i++) square[4 * i] += 1e-3;
-    if (td_invert_spd(square, square, 3, NULL) != TD_OK) return;
+    }
+    td_multiply_transposed(square, row, row, ROWS, (size_t)n, ROWS);
+    for (int i = 0; i < ROWS; i++) square[(ROWS + 1) * i] += 1e-3;
+    if (td_invert_spd(square, square, ROWS, NULL) != TD_OK) return;
     for (int k = 0; k < n; k++) {
-        double dq = 0;
-        for (int i = 0; i < 3; i++)
-            for (int m = 0; m < 3; m++) dq += row[i * n + k] * square[3 * i + m] * up[m];
         const td_robot_joint *j = x->s->robot->joint + k;
-        q[k] += dq;
+        for (int i = 0; i < ROWS; i++) q[k] += row[i * n + k] * square[ROWS * i + 2] * x->dig.raise_m;
         if (j->upper > j->lower) q[k] = fmax(j->lower, fmin(j->upper, q[k]));
     }
 }

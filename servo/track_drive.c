@@ -4,9 +4,12 @@
 #include <string.h>
 
 static const double PI = 3.14159265358979323846, RADIANS = 0.017453292519943295;
+static const double LEAST_RADIUS_M = 2;
 static const double BEHIND = 2.0943951023931953; /* from here on a goal is driven to backwards */
 /* 1/m^2, 1/m, 1/s, 1/s: lateral errors die away over 1.4 m, critically damped. */
 static const double K_Y = 0.5, K_THETA = 1.4, K_X = 0.8, K_TURN = 0.8;
+/* 1/s, in place: there most of what the tracks do is slip. */
+static const double K_PLACE = 2;
 
 td_track_drive_options td_track_drive_options_default(void)
 {
@@ -16,7 +19,7 @@ td_track_drive_options td_track_drive_options_default(void)
                                     .limit_m_s = 1.5,
                                     .tolerance_m = 0.05,
                                     .tolerance_rad = RADIANS,
-                                    .patience_s = 10};
+                                    .patience_s = 20};
 }
 
 static double wrapped(double angle)
@@ -41,6 +44,42 @@ static void add_part(td_track_drive *d, double length, double turn)
     if (length != 0 || turn != 0) d->way[d->part_count++] = (td_track_part){length, turn};
 }
 
+/* From a pose along the arc that is tangent to its heading (backwards: to its opposite) to a point. */
+static td_track_part arc_to(const double from[3], const double to[2], int sign)
+{
+    const double dx = to[0] - from[0], dy = to[1] - from[1], chord = hypot(dx, dy);
+    const double half = wrapped(atan2(sign * dy, sign * dx) - from[2]);
+    return (td_track_part){sign * chord * (fabs(half) > 1e-9 ? half / sin(half) : 1), 2 * half};
+}
+
+static bool is_wide(const td_track_part *p)
+{
+    return fabs(p->length_m) >= LEAST_RADIUS_M * fabs(p->turn_rad) && fabs(p->turn_rad) < PI / 2;
+}
+
+/* Two arcs that touch where both are as long a tangent away from the ends: 2 s^2 (1 - t1 t2) + 2 s v (t1 +
+ * t2) = v v, with v from end to end and t1, t2 the directions there (Bolton 1975). */
+static bool way_of_arcs(td_track_drive *d, const double goal[3], int sign)
+{
+    const double t1[2] = {sign * cos(d->from[2]), sign * sin(d->from[2])},
+                 t2[2] = {sign * cos(goal[2]), sign * sin(goal[2])},
+                 v[2] = {goal[0] - d->from[0], goal[1] - d->from[1]};
+    const double open = 2 * (1 - t1[0] * t2[0] - t1[1] * t2[1]), far = v[0] * v[0] + v[1] * v[1],
+                 ahead = v[0] * (t1[0] + t2[0]) + v[1] * (t1[1] + t2[1]);
+    const double s =
+        open > 1e-9 ? (sqrt(ahead * ahead + open * far) - ahead) / open : (ahead > 0 ? far / (2 * ahead) : 0);
+    double middle[3];
+    if (!(s > 0)) return false;
+    for (int i = 0; i < 2; i++) middle[i] = (d->from[i] + goal[i] + s * (t1[i] - t2[i])) / 2;
+    const td_track_part first = arc_to(d->from, middle, sign);
+    middle[2] = d->from[2] + first.turn_rad;
+    const td_track_part second = arc_to(middle, goal, sign);
+    if (!is_wide(&first) || !is_wide(&second)) return false;
+    add_part(d, first.length_m, first.turn_rad);
+    add_part(d, second.length_m, second.turn_rad);
+    return true;
+}
+
 static void way_to(td_track_drive *d, const td_task_drive *task, td_task_frame frame)
 {
     double goal[3] = {task->to_m[0], task->to_m[1], RADIANS * task->yaw_deg};
@@ -52,6 +91,7 @@ static void way_to(td_track_drive *d, const td_task_drive *task, td_task_frame f
     }
     const double dx = goal[0] - d->from[0], dy = goal[1] - d->from[1], far = hypot(dx, dy);
     double turn = 0, length = 0;
+    if (far > d->options.tolerance_m && (way_of_arcs(d, goal, 1) || way_of_arcs(d, goal, -1))) return;
     if (far > d->options.tolerance_m) {
         turn = wrapped(atan2(dy, dx) - d->from[2]);
         length = far;
@@ -159,7 +199,8 @@ static void steer(double *left, double *right, td_track_drive *d, const double i
     const double x = c * dx + s * dy, y = -s * dx + c * dy, theta = wrapped(wanted[2] - is[2]);
     const bool turns = d->way[d->part].length_m == 0;
     const double speed = turns ? 0 : v * cos(theta) + K_X * x;
-    const double turn = w + v * K_Y * y + fabs(v) * K_THETA * sin(theta) + K_TURN * sin(theta);
+    const double turn =
+        w + v * K_Y * y + fabs(v) * K_THETA * sin(theta) + (turns ? K_PLACE : K_TURN) * sin(theta);
     d->off_m = turns ? 0 : fabs(x);
     d->off_rad = fabs(theta);
     *left = speed - turn * d->options.half_gauge_m;

@@ -1,11 +1,12 @@
 /* A machine on two tracks along a way: turns in place, straight lines and arcs, each passed from rest to
- * rest.
+ * rest. To a goal it goes by two arcs of less than 90 degrees where their radii are 2 m or more, for a turn
+ * in place shifts a machine that stands heavier on one end; else it turns there, goes straight, and turns.
  *
  * Where it should be moves along the way (trapezoid of speed). The tracks' speeds lead it there and take back
  * how far it is off, as Kanayama, Kimura, Miyazaki and Noguchi ("A stable tracking control method for an
  * autonomous mobile robot", ICRA 1990): with the error (x, y, theta) in the machine's axes, v_r and w_r of
  * the way, v = v_r cos theta + k_x x,   w = w_r + v_r (k_y y + k_theta sin theta) + k_turn sin theta, k_turn
- * (ours) also where it turns in place. Tracks: v -+ w b, b half their gauge; where one is beyond the speed
+ * (ours) more where it turns in place. Tracks: v -+ w b, b half their gauge; where one is beyond the speed
  * limit both are slowed alike. Slip is not known to it, only seen. */
 #ifndef TELEDIMOS_SERVO_TRACK_DRIVE_H
 #define TELEDIMOS_SERVO_TRACK_DRIVE_H
@@ -26,7 +27,7 @@ typedef struct td_track_drive_options {
     double limit_m_s;         /* of a track; default 1.5 */
     double tolerance_m,
         tolerance_rad; /* it has arrived within these, along the way and in heading; 0.05, 1 deg */
-    double patience_s; /* for arriving, after the time the way takes; default 10 */
+    double patience_s; /* for arriving, after the time the way takes; default 20 */
 } td_track_drive_options;
 TD_API td_track_drive_options td_track_drive_options_default(void);
 

@@ -66,7 +66,7 @@ def scenario(folder, name, steps, ground, start="", frame="site", rest=""):
     with open(path, "w") as file:
         file.write(f"teledimos: scenario 1\nname: {name}\nrobot: {ROBOT}\n" + START % start +
                    f"duration_s: 300\nlog_s: 0.1\nground: {ground}\n{rest}task:\n  name: {name}\n  frame: {frame}\n"
-                   f"  tolerance: {{position_m: 0.15}}\n  steps:\n" + "".join("  " + line + "\n" for line in steps.splitlines()))
+                   f"  tolerance: {{position_m: 0.15, force_n: 3000}}\n  steps:\n" + "".join("  " + line + "\n" for line in steps.splitlines()))
     return path
 
 
@@ -135,31 +135,59 @@ def test_force(folder, site):
           f"7 kN are kept by raising the edge {result['raised_max_m']:.2f} m; {result['passes']} passes leave {result['left_m3']:.2f} m3")
 
 
-def test_hard(folder, site):
-    """A soil in which no cylinder pulls the bucket through."""
+def soil_of(folder, name, cohesion):
     with open(LOAM) as file:
         text = file.read()
-    hard = os.path.join(folder, "stones.yaml")
-    with open(hard, "w") as file:
+    path = os.path.join(folder, name + ".yaml")
+    with open(path, "w") as file:
         file.write(text.replace("{value: 10000, source: \"general knowledge, unchecked\", range: [5000, 20000]}",
-                                "{value: 150000, source: \"made up\"}"))
-    path = scenario(folder, "hard", DIG % "" + DUMP, f"{{map: {site}, soil: {hard}}}")
-    result = simulate(path, os.path.join(folder, "hard"))
+                                f"{{value: {cohesion}, source: \"made up\"}}"))
+    return path
+
+
+def test_hard(folder, site):
+    """Clods as hard as stone; and clay for a machine of a third of the pressure, whose cylinders do not pull the bucket through."""
+    stone = soil_of(folder, "stone", 150000)
+    result = simulate(scenario(folder, "hard", DIG % "" + DUMP, f"{{map: {site}, soil: {stone}}}"), os.path.join(folder, "hard"),
+                      "--gate", "left_share=0.1", status=3)
+    check(result["steps_done"] == 2 and result["mass_error_kg"] == 0 and any("still stand" in r for r in result["reasons"]),
+          f"as hard as stone: {result['reasons'][-1]}")
+    weak = os.path.join(folder, "weak")
+    for end in (".urdf", ".yaml"):
+        with open(ROBOT.replace(".urdf", end)) as file, open(weak + end, "w") as to:
+            to.write(file.read().replace("pressure_pa: 34.3e6", "pressure_pa: 12e6"))
+    path = scenario(folder, "weakly", DIG % "" + DUMP, f"{{map: {site}, soil: {soil_of(folder, 'clods', 60000)}}}")
+    with open(path) as file:
+        text = file.read().replace(ROBOT, weak + ".urdf")
+    with open(path, "w") as file:
+        file.write(text)
+    result = simulate(path, os.path.join(folder, "weakly"), "--accept")
     check(result["stalls"] > 0 and named(result, "stall") and result["steps_done"] == 2 and result["mass_error_kg"] == 0,
           f"{result['stalls']} cuts stood still and were given up; {result['left_m3']:.2f} of {result['planned_m3']:.2f} m3 are left")
 
 
 def test_drive(folder, site):
-    steps = ("  - drive: {distance_m: 1, turn_deg: 20}\n  - drive: {to: {x_m: 0.5, y_m: 0.5, yaw_deg: -10}}\n"
-             "  - position: {to: {x_m: 7, y_m: -1, z_m: 1.5}}\n")
+    steps = ("  - drive: {distance_m: 1, turn_deg: 20}\n  - drive: {to: {x_m: 3.5, y_m: 1, yaw_deg: -10}}\n"
+             "  - position: {to: {x_m: 9, y_m: -1, z_m: 1.5}}\n")
     out = os.path.join(folder, "drive")
     result = simulate(scenario(folder, "drive", steps, f"{{map: {site}, unseen_top_m: 0.5}}"), out)
     data = numpy.genfromtxt(os.path.join(out, "trajectory.csv"), delimiter=",", names=True, dtype=None, encoding="utf-8")
     end = data[-1]
-    check(math.hypot(end["base_x_m"] - 0.5, end["base_y_m"] - 0.5) < 0.2 and abs(end["base_yaw_rad"] + math.radians(10)) < 0.05,
+    check(math.hypot(end["base_x_m"] - 3.5, end["base_y_m"] - 1) < 0.3 and abs(end["base_yaw_rad"] + math.radians(10)) < 0.05,
           f"driven to ({end['base_x_m']:.2f}, {end['base_y_m']:.2f}), {math.degrees(end['base_yaw_rad']):.1f} deg")
     tool = [end[f"actual_{k}_m"] for k in "xyz"]
-    check(math.dist(tool, (7, -1, 1.5)) < 0.1 and result["dug_volume_m3"] == 0, f"and the tool to {numpy.round(tool, 3)}")
+    check(math.dist(tool, (9, -1, 1.5)) < 0.1 and result["dug_volume_m3"] == 0, f"and the tool to {numpy.round(tool, 3)}")
+
+
+def test_press(folder, site):
+    steps = ("  - position: {to: {x_m: 5, y_m: 0, z_m: 0.5, pitch_deg: 85}}\n  - wait: {for_s: 2}\n"
+             "  - press: {axis: [0, 0, -1], force_n: 10000, for_s: 1, most_travel_m: 1}\n")
+    out = os.path.join(folder, "press")
+    result = simulate(scenario(folder, "press", steps, f"{{map: {site}, soil: {LOAM}}}"), out)
+    data = numpy.genfromtxt(os.path.join(out, "trajectory.csv"), delimiter=",", names=True, dtype=None, encoding="utf-8")
+    pressed = data["press_n"][numpy.isfinite(data["press_n"])]
+    check(result["steps_done"] == 3 and abs(pressed[-5:].mean() - 10000) < 3000 and data["depth_m"].max() > 0.01,
+          f"pressed with {1e-3 * pressed[-5:].mean():.1f} kN into the ground, {data['depth_m'].max():.2f} m deep")
 
 
 def test_in_the_way(folder):
@@ -242,6 +270,7 @@ with tempfile.TemporaryDirectory() as place:
     test_force(place, plain)
     test_hard(place, plain)
     test_drive(place, plain)
+    test_press(place, plain)
     test_in_the_way(place)
     test_refused(place, plain)
     if not SANITIZED:
