@@ -129,19 +129,6 @@ static cli_command command = {
     .positional = &dataset_path,
 };
 
-/* The help of --gate, from the gate's own table. */
-static const char *gate_help(void)
-{
-    static char text[2048];
-    snprintf(text, sizeof text, "refuse above VALUE; may be repeated. Defaults, and why:");
-    for (size_t i = 0; i < calibrate_gate_count; i++) {
-        const gate_row *g = &calibrate_gate_defaults[i];
-        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
-                 g->refuse, g->warn, g->why);
-    }
-    return text;
-}
-
 static td_status parse_fix(td_calibrate_options *o, const td_dataset *dataset, const char *text,
                            td_error *error)
 {
@@ -400,8 +387,10 @@ static int guide(void)
 
 int main(int argc, char **argv)
 {
+    static char gate_text[2400] = GATE_HELP;
+    gate_help(gate_text, sizeof gate_text, calibrate_gate_defaults, calibrate_gate_count);
     for (size_t i = 0; i < command.option_count; i++)
-        if (options[i].target == &gates) options[i].help = gate_help();
+        if (options[i].target == &gates) options[i].help = gate_text;
     int status = cli_parse(&command, argc, argv);
     if (status >= 0) return status;
     if (common.schema) {

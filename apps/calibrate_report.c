@@ -9,12 +9,6 @@
 
 #define DEGREES 57.29577951308232
 
-static td_tone verdict_tone(verdict v)
-{
-    static const td_tone tones[] = {TD_TONE_GOOD, TD_TONE_WARN, TD_TONE_BAD};
-    return tones[v];
-}
-
 /* What the board does wrong, as the end of a sentence. */
 static const char *board_text(char *text, size_t size, const td_board_error *b)
 {
@@ -487,10 +481,7 @@ td_status calibrate_report(const calibrate_job *job, const char *path, td_error 
              td_target_describe(target, sizeof target, &job->dataset->target), c->view_count);
     td_report *r = td_report_new("Calibration", subtitle);
     if (!r) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for the report", path);
-    const char *sentences[GATE_MAX_REASONS];
-    for (size_t i = 0; i < job->gate->count; i++) sentences[i] = job->gate->reason[i];
-    td_report_verdict(r, verdict_tone(job->gate->verdict), verdict_name(job->gate->verdict), sentences,
-                      job->gate->count);
+    gate_report(r, job->gate);
     figures(r, job);
     td_report_heading(r, "Cameras");
     camera_table(r, c);

@@ -4,9 +4,9 @@
 #include <string.h>
 
 #include "apps/calibrate_internal.h"
-#include "core/stereo.h"
 #include "core/document.h"
 #include "core/linalg.h"
+#include "core/stereo.h"
 
 #define DEGREES 57.29577951308232
 

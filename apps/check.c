@@ -278,16 +278,15 @@ static void residual_plot(td_report *r, const job *j, int camera)
 
 static td_status write_report(const job *j, const char *path, td_error *error)
 {
-    static const td_tone tones[] = {TD_TONE_GOOD, TD_TONE_WARN, TD_TONE_BAD};
     static const char *const words[] = {"fine", "look again", "drifted"};
     char title[TD_NAME_SIZE + 32];
     snprintf(title, sizeof title, "Check of a rig by %s", j->dataset->name);
     td_report *r = td_report_new(title, argument[0]);
     const char *sentence = j->drift.text;
-    td_report_verdict(r, tones[j->verdict], words[j->verdict], &sentence, 1);
+    td_report_verdict(r, verdict_tone(j->verdict), words[j->verdict], &sentence, 1);
     td_report_figures_begin(r);
-    td_report_figure(r, "p, were the rig unchanged", tones[j->verdict], "%.2g", j->drift.p_value);
-    td_report_figure(r, "as standard deviations", tones[j->verdict], "%.1f", j->drift.drift_sigma);
+    td_report_figure(r, "p, were the rig unchanged", verdict_tone(j->verdict), "%.2g", j->drift.p_value);
+    td_report_figure(r, "as standard deviations", verdict_tone(j->verdict), "%.1f", j->drift.drift_sigma);
     td_report_figures_end(r);
     td_report_heading(r, "Residuals against what is expected");
     td_report_text(

@@ -295,14 +295,13 @@ static void report_tables(td_report *r, const td_rig_compare *c)
 
 static td_status write_report(const job *j, const char *path, td_error *error)
 {
-    static const td_tone tones[] = {TD_TONE_GOOD, TD_TONE_WARN, TD_TONE_BAD};
     static const char *const words[] = {"consistent", "look again", "different"};
     const td_rig_compare *c = &j->compare;
     char subtitle[512];
     snprintf(subtitle, sizeof subtitle, "A: %s, B: %s", argument[0], argument[1]);
     td_report *r = td_report_new("Comparison of two rigs", subtitle);
     const char *sentence = c->text;
-    td_report_verdict(r, tones[j->verdict], words[j->verdict], &sentence, 1);
+    td_report_verdict(r, verdict_tone(j->verdict), words[j->verdict], &sentence, 1);
     td_report_heading(r, "Differences");
     td_report_text(
         r, "Of each camera after the motion of its frame that explains most of the difference; expected is "

@@ -12,6 +12,12 @@ const char *verdict_name(verdict v)
     return names[v];
 }
 
+td_tone verdict_tone(verdict v)
+{
+    static const td_tone tones[] = {TD_TONE_GOOD, TD_TONE_WARN, TD_TONE_BAD};
+    return tones[v];
+}
+
 td_status gate_set(gate_row *row, size_t count, const char *assignment, td_error *error)
 {
     const char *equals = strchr(assignment, '=');
@@ -63,4 +69,19 @@ void gate_add(gate_result *result, verdict v, const char *format, ...)
     va_start(arguments, format);
     add_reason(result, v, format, arguments);
     va_end(arguments);
+}
+
+void gate_help(char *text, size_t size, const gate_row *row, size_t count)
+{
+    for (size_t i = 0; i < count; i++)
+        snprintf(text + strlen(text), size - strlen(text), "\n%s=%g (remark above %g): %s", row[i].key,
+                 row[i].refuse, row[i].warn, row[i].why);
+}
+
+void gate_report(td_report *report, const gate_result *result)
+{
+    const char *sentences[GATE_MAX_REASONS];
+    for (size_t i = 0; i < result->count; i++) sentences[i] = result->reason[i];
+    td_report_verdict(report, verdict_tone(result->verdict), verdict_name(result->verdict), sentences,
+                      result->count);
 }

@@ -5,6 +5,7 @@
 #include <stdbool.h>
 #include <stddef.h>
 
+#include "core/report.h"
 #include "core/status.h"
 
 typedef enum verdict { VERDICT_ACCEPTED, VERDICT_WARNED, VERDICT_REFUSED } verdict;
@@ -34,5 +35,13 @@ void gate_check(gate_result *result, const gate_row *row, size_t count, const ch
                 const char *format, ...) TD_PRINTF(6, 7);
 /* Adds a reason without a threshold. */
 void gate_add(gate_result *result, verdict v, const char *format, ...) TD_PRINTF(3, 4);
+
+#define GATE_HELP "refuse above VALUE; may be repeated. Defaults, and why:"
+/* Appends a line a row to the help of --gate: key, defaults, reason. */
+void gate_help(char *text, size_t size, const gate_row *row, size_t count);
+
+/* The verdict with its reasons, as a report begins. */
+void gate_report(td_report *report, const gate_result *result);
+td_tone verdict_tone(verdict v);
 
 #endif

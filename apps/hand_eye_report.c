@@ -186,16 +186,12 @@ static void figures(td_report *r, const hand_eye_job *job)
 
 td_status hand_eye_report(const hand_eye_job *job, const char *path, td_error *error)
 {
-    static const td_tone tones[] = {TD_TONE_GOOD, TD_TONE_WARN, TD_TONE_BAD};
     char subtitle[300];
     snprintf(subtitle, sizeof subtitle, "%s, %s, %zu views", job->dataset->name,
              td_hand_eye_setup_name(job->result->setup), job->count);
     td_report *r = td_report_new("Hand–eye calibration", subtitle);
     if (!r) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for the report", path);
-    const char *sentences[GATE_MAX_REASONS];
-    for (size_t i = 0; i < job->gate.count; i++) sentences[i] = job->gate.reason[i];
-    td_report_verdict(r, tones[job->gate.verdict], verdict_name(job->gate.verdict), sentences,
-                      job->gate.count);
+    gate_report(r, &job->gate);
     figures(r, job);
     td_report_heading(r, "Where the cameras sit, where the target stands");
     td_report_text(r, "Cameras: %s.", job->rig_from);

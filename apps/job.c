@@ -107,6 +107,9 @@ td_status job_finish(job *j, json_t *result, const job_output *output)
 int job_end(job *j, td_status status, bool refused)
 {
     terminal_clear(&j->term);
+    /* Libraries know only that they were told to stop. */
+    if (status == TD_ERROR_CANCELLED && !strstr(j->error.message, "interrupted"))
+        td_error_prefix(&j->error, status, "interrupted");
     if (status != TD_OK)
         cli_complain(j->command->name, "%s", j->error.message[0] ? j->error.message : td_status_text(status));
     if (j->term.log_file) fclose(j->term.log_file);

@@ -86,18 +86,6 @@ static cli_command command = {
     .positional = argument,
 };
 
-static const char *gate_help(void)
-{
-    static char text[1600];
-    snprintf(text, sizeof text, "refuse above VALUE; may be repeated. Defaults, and why:");
-    for (size_t i = 0; i < match_gate_count; i++) {
-        const gate_row *g = &match_gate_defaults[i];
-        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
-                 g->refuse, g->warn, g->why);
-    }
-    return text;
-}
-
 static td_status find_cameras(match_job *m, int camera[2], td_error *error)
 {
     char name[2][TD_NAME_SIZE];
@@ -144,15 +132,6 @@ static td_status prepare(match_job *m, td_error *error)
     return td_match_options_check(&m->options, error);
 }
 
-static td_status automatic_matches(td_match **match, size_t *n, td_match_tally *tally, const match_job *m,
-                                   td_error *error)
-{
-    td_status status =
-        td_match_automatic(match, n, tally, &m->pair, m->image[0], m->image[1], &m->options, error);
-    if (status == TD_ERROR_CANCELLED) return td_fail(error, status, "interrupted while matching");
-    return status;
-}
-
 static bool are_few(size_t n, const td_match_tally *tally)
 {
     return n < 30 || 10 * n < tally->left_points;
@@ -196,7 +175,7 @@ static td_status match_wide(match_job *m, td_match **match, size_t *n, td_error 
 /* Do the images belong to the rig? From automatic matches, whatever the mode. */
 static td_status check_pair(match_job *m, td_match **match, size_t *n, td_error *error)
 {
-    TD_TRY(automatic_matches(match, n, &m->tally, m, error));
+    TD_TRY(td_match_automatic(match, n, &m->tally, &m->pair, m->image[0], m->image[1], &m->options, error));
     const bool few = are_few(*n, &m->tally);
     if (few && m->tally.left_points >= 30 && look_swapped(m))
         return td_fail(error, TD_ERROR_DATA,
@@ -277,7 +256,7 @@ static td_status match_again(match_job *m, td_match **match, size_t *n, td_error
     td_epipolar_gate gate;
     free(*match);
     *match = NULL;
-    TD_TRY(automatic_matches(match, n, &m->tally, m, error));
+    TD_TRY(td_match_automatic(match, n, &m->tally, &m->pair, m->image[0], m->image[1], &m->options, error));
     if (*n < 8)
         return td_fail(error, TD_ERROR_DATA, "with the right camera turned only %zu points match", *n);
     TD_TRY(td_epipolar_gate_check(&gate, &m->pair, *match, *n, error));
@@ -364,8 +343,10 @@ static void release(match_job *m)
 int main(int argc, char **argv)
 {
     job j;
+    static char gate_text[2400] = GATE_HELP;
+    gate_help(gate_text, sizeof gate_text, match_gate_defaults, match_gate_count);
     for (size_t i = 0; i < command.option_count; i++)
-        if (options[i].target == &gates) options[i].help = gate_help();
+        if (options[i].target == &gates) options[i].help = gate_text;
     int code = job_begin(&j, &command, &common, match_schema, match_schema_count, true, argc, argv);
     if (code >= 0) return code;
     match_job m = {.image_path = {argument[0], argument[1]},

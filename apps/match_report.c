@@ -224,7 +224,6 @@ static void point_table(td_report *r, const match_job *m)
 
 td_status match_report(const void *found, const char *path, td_error *error)
 {
-    static const td_tone tones[] = {TD_TONE_GOOD, TD_TONE_WARN, TD_TONE_BAD};
     static const char *const modes[] = {"automatic", "guided", "chosen"};
     const match_job *m = found;
     char subtitle[700];
@@ -232,9 +231,7 @@ td_status match_report(const void *found, const char *path, td_error *error)
              modes[m->mode], m->frame);
     td_report *r = td_report_new("Matched points", subtitle);
     if (!r) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for the report", path);
-    const char *sentences[GATE_MAX_REASONS];
-    for (size_t i = 0; i < m->gate.count; i++) sentences[i] = m->gate.reason[i];
-    td_report_verdict(r, tones[m->gate.verdict], verdict_name(m->gate.verdict), sentences, m->gate.count);
+    gate_report(r, &m->gate);
     figures(r, m);
     pictures(r, m);
     tally_text(r, m);

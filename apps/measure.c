@@ -65,18 +65,6 @@ static cli_command command = {
     .positional = argument,
 };
 
-static const char *gate_help(void)
-{
-    static char text[1600];
-    snprintf(text, sizeof text, "refuse above VALUE; may be repeated. Defaults, and why:");
-    for (size_t i = 0; i < measure_gate_count; i++) {
-        const gate_row *g = &measure_gate_defaults[i];
-        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
-                 g->refuse, g->warn, g->why);
-    }
-    return text;
-}
-
 static td_status misfit(td_error *error, const char *option, const char *kind)
 {
     return td_fail(error, TD_ERROR_ARGUMENT, "--%s goes with %s only", option, kind);
@@ -212,8 +200,10 @@ static td_status run(measure_job *m, job *j)
 int main(int argc, char **argv)
 {
     job j;
+    static char gate_text[2400] = GATE_HELP;
+    gate_help(gate_text, sizeof gate_text, measure_gate_defaults, measure_gate_count);
     for (size_t i = 0; i < command.option_count; i++)
-        if (options[i].target == &gates) options[i].help = gate_help();
+        if (options[i].target == &gates) options[i].help = gate_text;
     int code = job_begin(&j, &command, &common, measure_schema, measure_schema_count, true, argc, argv);
     if (code >= 0) return code;
     measure_job m = {0};

@@ -169,7 +169,6 @@ static void profile_part(td_report *r, const measure_job *m)
 
 td_status measure_report(const void *found, const char *path, td_error *error)
 {
-    static const td_tone tones[] = {TD_TONE_GOOD, TD_TONE_WARN, TD_TONE_BAD};
     static const char *const titles[] = {"Cut and fill", "Profile", "Slope"};
     const measure_job *m = found;
     char subtitle[700];
@@ -177,9 +176,7 @@ td_status measure_report(const void *found, const char *path, td_error *error)
              m->path[1] ? m->path[1] : "", m->map[0]->frame);
     td_report *r = td_report_new(titles[m->kind], subtitle);
     if (!r) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for the report", path);
-    const char *sentences[GATE_MAX_REASONS];
-    for (size_t i = 0; i < m->gate.count; i++) sentences[i] = m->gate.reason[i];
-    td_report_verdict(r, tones[m->gate.verdict], verdict_name(m->gate.verdict), sentences, m->gate.count);
+    gate_report(r, &m->gate);
     if (m->kind == MEASURE_VOLUME) volume_part(r, m);
     if (m->kind == MEASURE_PROFILE) profile_part(r, m);
     if (m->kind == MEASURE_SLOPE) slope_part(r, m);

@@ -109,18 +109,6 @@ static cli_command command = {
     .positional = &dataset_path,
 };
 
-static const char *gate_help(void)
-{
-    static char text[1600];
-    snprintf(text, sizeof text, "refuse above VALUE; may be repeated. Defaults, and why:");
-    for (size_t i = 0; i < reconstruct_gate_count; i++) {
-        const gate_row *g = &reconstruct_gate_defaults[i];
-        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
-                 g->refuse, g->warn, g->why);
-    }
-    return text;
-}
-
 static td_status parse_region(double region[4], td_error *error)
 {
     char rest;
@@ -243,8 +231,10 @@ int main(int argc, char **argv)
         cli_complain(command.name, "%s", error.message);
         return EXIT_FAILED;
     }
+    static char gate_text[2400] = GATE_HELP;
+    gate_help(gate_text, sizeof gate_text, reconstruct_gate_defaults, reconstruct_gate_count);
     for (size_t i = 0; i < command.option_count; i++)
-        if (options[i].target == &gates) options[i].help = gate_help();
+        if (options[i].target == &gates) options[i].help = gate_text;
     int code =
         job_begin(&j, &command, &common, reconstruct_schema, reconstruct_schema_count, true, argc, argv);
     return team_end(code >= 0 ? code : work_for(&j));

@@ -5,8 +5,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "apps/look_pair.h"
 #include "apps/reconstruct_internal.h"
-#include "recon/own_body.h"
 
 static td_status read_images(td_image *image[2], reconstruct_job *work, reconstruct_frame *f, td_error *error)
 {
@@ -46,43 +46,6 @@ static void look_at_epipolar(reconstruct_job *work, reconstruct_frame *f, td_ima
     free(match);
 }
 
-/* Pixels that see the machine itself say nothing of the ground. */
-static td_status mask_own_body(td_disparity *d, reconstruct_job *work, reconstruct_frame *f, td_error *error)
-{
-    const td_rectification *r = td_depth_camera_rectification(work->depth);
-    size_t pixels = (size_t)d->width * (size_t)d->height, masked = 0;
-    if (!work->robot) return TD_OK;
-    uint8_t *mask = calloc(pixels + 1, 1);
-    if (!mask) return td_fail(error, TD_ERROR_MEMORY, "no memory for a mask");
-    td_pose left_from_rig = work->rig->camera[work->pair.left].camera_from_rig;
-    td_pose rectified_from_rig = td_pose_compose(&r->rectified_from[0], &left_from_rig);
-    td_pose rig_from_vehicle = td_pose_inverse(&f->vehicle_from_rig);
-    td_pose camera_from_vehicle = td_pose_compose(&rectified_from_rig, &rig_from_vehicle);
-    td_own_body_options o = td_own_body_options_default();
-    o.sigma_q = work->sigma_q;
-    o.mount = work->mount;
-    td_status status = td_own_body_mask(mask, &r->camera, &camera_from_vehicle, work->robot, f->q, &o, error);
-    for (size_t i = 0; i < pixels && status == TD_OK; i++) {
-        if (!mask[i]) continue;
-        masked++;
-        d->value[i] = d->sigma[i] = NAN;
-        d->kind[i] = TD_DENSE_NONE;
-    }
-    f->masked = (double)masked / (double)pixels;
-    free(mask);
-    return status;
-}
-
-static void keep_matched(td_disparity *d, reconstruct_frame *f)
-{
-    size_t pixels = (size_t)d->width * (size_t)d->height, matched = 0;
-    for (size_t i = 0; i < pixels; i++) {
-        matched += d->kind[i] == TD_DENSE_MATCHED;
-        if (d->kind[i] != TD_DENSE_MATCHED) d->value[i] = d->sigma[i] = NAN;
-    }
-    f->matched = (double)matched / (double)pixels;
-}
-
 void reconstruct_view_free(reconstruct_view *view)
 {
     td_image_free(&view->left);
@@ -92,16 +55,18 @@ void reconstruct_view_free(reconstruct_view *view)
 static td_status match(reconstruct_view *view, reconstruct_job *work, reconstruct_frame *f,
                        td_image *const raw[2], td_error *error)
 {
-    td_image *right = NULL;
-    const int threads = work->how->dense.threads;
+    look_shares shares;
+    const look_body body = {.robot = work->robot,
+                            .mount = work->mount,
+                            .q = f->q,
+                            .sigma_q = work->sigma_q,
+                            .vehicle_from_rig = f->vehicle_from_rig,
+                            .left_from_rig = work->rig->camera[work->pair.left].camera_from_rig};
     td_status status =
-        td_depth_camera_rectify(&view->left, &right, work->depth, raw[0], raw[1], threads, error);
-    if (status == TD_OK)
-        status = td_dense_match(&view->disparity, view->left, right, &work->how->dense, error);
-    td_image_free(&right);
-    TD_TRY(status);
-    keep_matched(view->disparity, f);
-    return mask_own_body(view->disparity, work, f, error);
+        look_match(&view->left, &view->disparity, &shares, work->depth, raw, &work->how->dense, &body, error);
+    f->matched = shares.matched;
+    f->masked = shares.masked;
+    return status;
 }
 
 td_status reconstruct_measure(reconstruct_view *view, reconstruct_job *work, size_t index, td_error *error)

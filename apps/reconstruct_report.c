@@ -302,9 +302,7 @@ static void file_table(td_report *r, const reconstruct_job *work)
 
 td_status reconstruct_report(const void *found, const char *path, td_error *error)
 {
-    static const td_tone tones[] = {TD_TONE_GOOD, TD_TONE_WARN, TD_TONE_BAD};
     const reconstruct_job *work = found;
-    const char *sentences[GATE_MAX_REASONS];
     char subtitle[TD_NAME_SIZE + 80];
     size_t used = 0;
     for (size_t i = 0; i < work->count; i++) used += !work->frame[i].failed;
@@ -312,9 +310,7 @@ td_status reconstruct_report(const void *found, const char *path, td_error *erro
              work->count, work->map->frame);
     td_report *r = td_report_new("Elevation map", subtitle);
     if (!r) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for the report", path);
-    for (size_t i = 0; i < work->gate.count; i++) sentences[i] = work->gate.reason[i];
-    td_report_verdict(r, tones[work->gate.verdict], verdict_name(work->gate.verdict), sentences,
-                      work->gate.count);
+    gate_report(r, &work->gate);
     figures(r, work);
     td_report_heading(r, "The map");
     map_pictures(r, work);

@@ -6,7 +6,6 @@
 
 #include "apps/cli.h"
 #include "apps/terminal.h"
-#include "core/stereo.h"
 #include "core/dataset.h"
 #include "core/document.h"
 #include "core/file.h"
@@ -14,6 +13,7 @@
 #include "core/parallel.h"
 #include "core/rig.h"
 #include "core/schema.h"
+#include "core/stereo.h"
 
 static const char *dataset_path;
 static cli_common common;

@@ -108,34 +108,15 @@ static cli_command command = {
     .positional = &scenario_path,
 };
 
-static const char *gate_help(void)
-{
-    static char text[1600];
-    snprintf(text, sizeof text, "refuse above VALUE; may be repeated. Defaults, and why:");
-    for (size_t i = 0; i < simulate_gate_count; i++) {
-        const gate_row *g = &simulate_gate_defaults[i];
-        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
-                 g->refuse, g->warn, g->why);
-    }
-    return text;
-}
-
-/* Of --identify, whose gate follows that of a simulation in the help. */
+/* Of a task and of --identify too, whose gates follow that of a simulation. */
 static const char *whole_gate_help(void)
 {
-    static char text[4800];
-    snprintf(text, sizeof text, "%s\nof a task:", gate_help());
-    for (size_t i = 0; i < task_gate_count; i++) {
-        const gate_row *g = &task_gate_defaults[i];
-        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
-                 g->refuse, g->warn, g->why);
-    }
+    static char text[4800] = GATE_HELP;
+    gate_help(text, sizeof text, simulate_gate_defaults, simulate_gate_count);
+    snprintf(text + strlen(text), sizeof text - strlen(text), "\nof a task:");
+    gate_help(text, sizeof text, task_gate_defaults, task_gate_count);
     snprintf(text + strlen(text), sizeof text - strlen(text), "\nof --identify:");
-    for (size_t i = 0; i < identify_gate_count; i++) {
-        const gate_row *g = &identify_gate_defaults[i];
-        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
-                 g->refuse, g->warn, g->why);
-    }
+    gate_help(text, sizeof text, identify_gate_defaults, identify_gate_count);
     return text;
 }
 

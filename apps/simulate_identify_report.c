@@ -261,16 +261,13 @@ static void fill(td_report *r, const identify_job *j)
 
 td_status identify_report(const void *done, const char *path, td_error *error)
 {
-    static const td_tone tones[] = {TD_TONE_GOOD, TD_TONE_WARN, TD_TONE_BAD};
     const identify_job *j = done;
     char subtitle[400];
     snprintf(subtitle, sizeof subtitle, "robot %s, %zu samples of %.1f s", j->scenario->robot->name, j->count,
              j->time_s[j->count - 1] - j->time_s[0]);
     td_report *r = td_report_new("Identified parameters", subtitle);
     if (!r) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for the report", path);
-    const char *sentences[GATE_MAX_REASONS];
-    for (size_t i = 0; i < j->gate.count; i++) sentences[i] = j->gate.reason[i];
-    td_report_verdict(r, tones[j->gate.verdict], verdict_name(j->gate.verdict), sentences, j->gate.count);
+    gate_report(r, &j->gate);
     fill(r, j);
     td_status status = td_report_write(r, path, error);
     td_report_free(&r);

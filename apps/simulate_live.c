@@ -61,6 +61,8 @@ td_status live_begin(struct live **live, const scenario *s, terminal *term, td_l
 
 td_status live_start(struct live *l, td_error *error)
 {
+    td_log_write(&l->options.log, TD_LOG_INFO, "simulate", "real time begins, a tick each %g ms",
+                 1e3 * l->period_s);
     return td_clock_start(&l->clock, &l->options, error);
 }
 

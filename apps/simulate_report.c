@@ -247,16 +247,13 @@ static void sweeps(td_report *r, const sweep *w)
 
 td_status simulate_report(const void *done, const char *path, td_error *error)
 {
-    static const td_tone tones[] = {TD_TONE_GOOD, TD_TONE_WARN, TD_TONE_BAD};
     const simulate_job *j = done;
     char subtitle[300];
     snprintf(subtitle, sizeof subtitle, "%s: %s of robot %s, %g s", j->scenario.name, j->scenario.motion.kind,
              j->scenario.robot->name, j->scenario.duration_s);
     td_report *r = td_report_new("Simulated motion", subtitle);
     if (!r) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for the report", path);
-    const char *sentences[GATE_MAX_REASONS];
-    for (size_t i = 0; i < j->gate.count; i++) sentences[i] = j->gate.reason[i];
-    td_report_verdict(r, tones[j->gate.verdict], verdict_name(j->gate.verdict), sentences, j->gate.count);
+    gate_report(r, &j->gate);
     figures(r, j);
     td_report_heading(r, "Joints");
     td_report_grid_begin(r, 2);

@@ -247,7 +247,6 @@ static void clock_plot(td_report *r, const task_job *j)
 
 td_status task_report(const void *done, const char *path, td_error *error)
 {
-    static const td_tone tones[] = {TD_TONE_GOOD, TD_TONE_WARN, TD_TONE_BAD};
     const task_job *j = done;
     const scenario *s = j->scenario;
     char subtitle[400];
@@ -255,9 +254,7 @@ td_status task_report(const void *done, const char *path, td_error *error)
              s->task->task->name, s->robot->name, s->duration_s, s->gain_1_s);
     td_report *r = td_report_new("Simulated task", subtitle);
     if (!r) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for the report", path);
-    const char *sentences[GATE_MAX_REASONS];
-    for (size_t i = 0; i < j->gate.count; i++) sentences[i] = j->gate.reason[i];
-    td_report_verdict(r, tones[j->gate.verdict], verdict_name(j->gate.verdict), sentences, j->gate.count);
+    gate_report(r, &j->gate);
     figures(r, j);
     task_report_ground(r, j);
     digging(r, j);

@@ -78,18 +78,6 @@ static cli_command command = {
     .positional = &dataset_path,
 };
 
-static const char *gate_help(void)
-{
-    static char text[1600];
-    snprintf(text, sizeof text, "refuse above VALUE; may be repeated. Defaults, and why:");
-    for (size_t i = 0; i < vehicle_gate_count; i++) {
-        const gate_row *g = &vehicle_gate_defaults[i];
-        snprintf(text + strlen(text), sizeof text - strlen(text), "\n%s=%g (remark above %g): %s", g->key,
-                 g->refuse, g->warn, g->why);
-    }
-    return text;
-}
-
 static td_status write_text(const char *name, const char *text, size_t size, td_error *error)
 {
     char *path = td_path_join(common.output, name);
@@ -295,8 +283,10 @@ static int write_example(void)
 
 int main(int argc, char **argv)
 {
+    static char gate_text[2400] = GATE_HELP;
+    gate_help(gate_text, sizeof gate_text, vehicle_gate_defaults, vehicle_gate_count);
     for (size_t i = 0; i < command.option_count; i++)
-        if (options[i].target == &gates) options[i].help = gate_help();
+        if (options[i].target == &gates) options[i].help = gate_text;
     int status = cli_parse(&command, argc, argv);
     if (status >= 0) return status;
     if (common.schema) {

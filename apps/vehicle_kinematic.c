@@ -230,12 +230,9 @@ static void origin_table(td_report *r, const td_kinematic *k)
 td_status vehicle_kinematic_report(const vehicle_kinematic *k, const vehicle_job *job, const char *path,
                                    td_error *error)
 {
-    static const td_tone tones[] = {TD_TONE_GOOD, TD_TONE_WARN, TD_TONE_BAD};
     td_report *r = td_report_new("Kinematic calibration", job->dataset->name);
-    const char *sentences[GATE_MAX_REASONS];
     if (!r) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for the report", path);
-    for (size_t i = 0; i < k->gate.count; i++) sentences[i] = k->gate.reason[i];
-    td_report_verdict(r, tones[k->gate.verdict], verdict_name(k->gate.verdict), sentences, k->gate.count);
+    gate_report(r, &k->gate);
     td_report_figures_begin(r);
     td_report_figure(r, "poses held out, mean", TD_TONE_PLAIN, "%.2f mm, %.3f°", k->held_out_mm,
                      k->held_out_deg);

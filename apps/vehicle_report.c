@@ -303,16 +303,12 @@ static void body(td_report *r, const vehicle_job *job)
 
 td_status vehicle_report(const vehicle_job *job, const char *path, td_error *error)
 {
-    static const td_tone tones[] = {TD_TONE_GOOD, TD_TONE_WARN, TD_TONE_BAD};
     char subtitle[300];
     snprintf(subtitle, sizeof subtitle, "%s, %s, %zu poses", job->dataset->name, job->robot->name,
              job->data.pose_count);
     td_report *r = td_report_new("Camera-to-vehicle calibration", subtitle);
     if (!r) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for the report", path);
-    const char *sentences[GATE_MAX_REASONS];
-    for (size_t i = 0; i < job->gate.count; i++) sentences[i] = job->gate.reason[i];
-    td_report_verdict(r, tones[job->gate.verdict], verdict_name(job->gate.verdict), sentences,
-                      job->gate.count);
+    gate_report(r, &job->gate);
     body(r, job);
     td_status status = td_report_write(r, path, error);
     td_report_free(&r);

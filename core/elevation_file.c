@@ -239,8 +239,9 @@ td_status td_elevation_read(td_elevation **map, const char *path, td_error *erro
 
 /* ---- writing ---- */
 
-static bool write_notes(const td_raster_module *module, void *raster, const td_elevation *map)
+static bool write_notes(const td_raster_module *module, void *raster, const void *data)
 {
+    const td_elevation *map = data;
     char x[TD_NUMBER_SIZE], y[TD_NUMBER_SIZE];
     bool fine = module->set_note(raster, "TELEDIMOS_FRAME", map->frame) &&
                 module->set_note(raster, origin_note[0], td_number_format(x, map->origin[0], 0)) &&
@@ -252,43 +253,16 @@ static bool write_notes(const td_raster_module *module, void *raster, const td_e
     return fine;
 }
 
-static bool write_rows(const td_raster_module *module, void *raster, double *row, const td_elevation *map,
-                       char reason[TD_RASTER_REASON_SIZE])
+static void fill_row(double *value, const void *data, int band, int y)
 {
-    for (int b = 0; b < BANDS; b++)
-        for (int y = 0; y < map->rows; y++) {
-            const size_t first = (size_t)(map->rows - 1 - y) * (size_t)map->columns;
-            for (int x = 0; x < map->columns; x++) row[x] = get(map, (enum band)b, first + (size_t)x);
-            if (!module->write_row(row, raster, b + 1, y, reason)) return false;
-        }
-    return true;
+    const td_elevation *map = data;
+    const size_t first = (size_t)y * (size_t)map->columns;
+    for (int x = 0; x < map->columns; x++) value[x] = get(map, (enum band)band, first + (size_t)x);
 }
 
 td_status td_elevation_write(const td_elevation *map, const char *path, td_error *error)
 {
-    const td_raster_module *module = NULL;
-    void *raster = NULL;
-    unsigned char *bytes = NULL;
-    size_t size = 0;
-    char reason[TD_RASTER_REASON_SIZE] = "";
-    const td_raster_info info = {.columns = map->columns,
-                                 .rows = map->rows,
-                                 .bands = BANDS,
-                                 .transform = {map->origin[0] - 0.5 * map->cell_m, map->cell_m, 0,
-                                               map->origin[1] + (map->rows - 0.5) * map->cell_m, 0,
-                                               -map->cell_m},
-                                 .crs = map->crs};
-    TD_TRY(td_raster_load(&module, path, error));
-    double *row = malloc((size_t)map->columns * sizeof *row);
-    if (!row) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for a row", path);
-    const bool made = module->create(&raster, &info, reason) && write_notes(module, raster, map) &&
-                      write_rows(module, raster, row, map, reason) &&
-                      module->encode(&bytes, &size, raster, reason);
-    td_status status =
-        made ? td_file_write(path, bytes, size, error)
-             : td_fail(error, TD_ERROR_EXTERNAL, "%s: cannot be made a GeoTIFF: %s", path, reason);
-    if (bytes) module->free_bytes(bytes);
-    if (raster) module->close(raster);
-    free(row);
-    return status;
+    td_raster_info info = {.columns = map->columns, .rows = map->rows, .bands = BANDS, .crs = map->crs};
+    td_raster_place(info.transform, map->origin, map->cell_m, map->rows);
+    return td_raster_write(path, &info, map, write_notes, fill_row, error);
 }

@@ -56,5 +56,12 @@ typedef const td_raster_module *td_raster_module_get_function(void);
 
 /* raster.c: the module; `path` is for the message. */
 td_status td_raster_load(const td_raster_module **module, const char *path, td_error *error);
+/* A north-up GeoTIFF, written whole or not at all. notes: what is said besides; row: values of a band, y
+ * counted from the southernmost. */
+td_status td_raster_write(const char *path, const td_raster_info *info, const void *data,
+                          bool (*notes)(const td_raster_module *module, void *raster, const void *data),
+                          void (*row)(double *value, const void *data, int band, int y), td_error *error);
+/* Of a grid of square cells with its first, south-west, centre at origin. */
+void td_raster_place(double transform[6], const double origin[2], double cell_m, int rows);
 
 #endif

@@ -5,7 +5,6 @@
 #include <string.h>
 
 #include "core/elevation_internal.h"
-#include "core/file.h"
 #include "core/text_internal.h"
 
 enum { CHANNELS = 4 };
@@ -53,47 +52,24 @@ void td_orthophoto_free(td_orthophoto **photo)
     *photo = NULL;
 }
 
-static bool write_rows(const td_raster_module *module, void *raster, double *row, const td_orthophoto *photo,
-                       char reason[TD_RASTER_REASON_SIZE])
+static bool write_notes(const td_raster_module *module, void *raster, const void *photo)
 {
-    const size_t columns = (size_t)photo->columns;
-    for (int band = 0; band < CHANNELS; band++)
-        for (int y = 0; y < photo->rows; y++) {
-            const uint8_t *from = photo->rgba + (size_t)(photo->rows - 1 - y) * columns * CHANNELS;
-            for (size_t x = 0; x < columns; x++) row[x] = from[x * CHANNELS + (size_t)band];
-            if (!module->write_row(row, raster, band + 1, y, reason)) return false;
-        }
-    return true;
+    return module->set_note(raster, "TELEDIMOS_FRAME", ((const td_orthophoto *)photo)->frame);
+}
+
+static void fill_row(double *value, const void *data, int band, int y)
+{
+    const td_orthophoto *photo = data;
+    const uint8_t *from = photo->rgba + (size_t)y * (size_t)photo->columns * CHANNELS + band;
+    for (int x = 0; x < photo->columns; x++) value[x] = from[x * CHANNELS];
 }
 
 td_status td_orthophoto_write(const td_orthophoto *photo, const char *path, td_error *error)
 {
-    const td_raster_module *module = NULL;
-    void *raster = NULL;
-    unsigned char *bytes = NULL;
-    size_t size = 0;
-    char reason[TD_RASTER_REASON_SIZE] = "";
-    const double texel = photo->texel_m;
-    const td_raster_info info = {.columns = photo->columns,
-                                 .rows = photo->rows,
-                                 .bands = CHANNELS,
-                                 .rgba = true,
-                                 .transform = {photo->origin[0] - 0.5 * texel, texel, 0,
-                                               photo->origin[1] + (photo->rows - 0.5) * texel, 0, -texel},
-                                 .crs = photo->crs};
-    TD_TRY(td_raster_load(&module, path, error));
-    double *row = malloc((size_t)photo->columns * sizeof *row);
-    if (!row) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for a row", path);
-    const bool made =
-        module->create(&raster, &info, reason) && module->set_note(raster, "TELEDIMOS_FRAME", photo->frame) &&
-        write_rows(module, raster, row, photo, reason) && module->encode(&bytes, &size, raster, reason);
-    td_status status =
-        made ? td_file_write(path, bytes, size, error)
-             : td_fail(error, TD_ERROR_EXTERNAL, "%s: cannot be made a GeoTIFF: %s", path, reason);
-    if (bytes) module->free_bytes(bytes);
-    if (raster) module->close(raster);
-    free(row);
-    return status;
+    td_raster_info info = {
+        .columns = photo->columns, .rows = photo->rows, .bands = CHANNELS, .rgba = true, .crs = photo->crs};
+    td_raster_place(info.transform, photo->origin, photo->texel_m, photo->rows);
+    return td_raster_write(path, &info, photo, write_notes, fill_row, error);
 }
 
 td_status td_orthophoto_image(td_image **image, const td_orthophoto *photo, uint8_t unseen, td_error *error)

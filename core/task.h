@@ -80,8 +80,8 @@ typedef struct td_task_drive {
     double speed_m_s;            /* 0: the machine's own */
 } td_task_drive;
 
-/* A trench: from `from` along the heading, in as many passes as the tool needs (servo/dig_plan.h). The ground
- * is the map's, as it was when the digging began: what was dug since does not make the trench deeper. */
+/* A trench: from `from` along the heading, in as many passes as the tool needs. The ground is the map's, as
+ * it was when the digging began: what was dug since does not make the trench deeper. */
 typedef struct td_task_dig {
     td_task_point from; /* on the ground: the middle of its far end */
     bool has_heading;   /* else towards the machine, along the ground */

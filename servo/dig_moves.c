@@ -7,7 +7,7 @@
 
 static const double DEGREE = 0.017453292519943295;
 static const double EMPTY_RAD = 2 * 0.017453292519943295; /* more than what empties the bucket */
-static const double RAISE_M = 0.02;
+static const double RAISE_M = 0.02, HIGHER_M = 0.15;
 enum { RAISES = 20 };
 
 static td_status add_move(td_dig_plan *plan, td_dig_phase phase, const dig_pass *pass, const dig_job *job,
@@ -142,13 +142,14 @@ static td_status carry(td_dig_plan *plan, dig_job *job, dig_drag *d, const dig_p
 {
     double q_over[TD_ROBOT_MAX_JOINTS], q_open[TD_ROBOT_MAX_JOINTS], raised = 0, where;
     dig_pose over, open;
+    bool emptied = false;
     for (int i = 0; i < RAISES; i++) {
-        if (!over_dump(&over, &open, q_over, q_open, job, d->q_up, raised))
-            return td_fail(
-                error, TD_ERROR_DATA,
-                "dump: the bucket cannot be emptied %.2f m above (%.2f, %.2f) m, as the ground and "
-                "the heap there ask for; take a place that is reached, or a lower one",
-                over.at[2] - job->dump_ground, over.at[0], over.at[1]);
+        if (!over_dump(&over, &open, q_over, q_open, job, d->q_up, raised)) {
+            emptied = false; /* near the machine a bucket opens further the higher it is */
+            raised += HIGHER_M;
+            continue;
+        }
+        emptied = true;
         const double low = dig_too_low(&where, job, d->q_up, q_over);
         if (low <= 0) {
             TD_TRY(add_line(plan, TD_DIG_LIFT, pass, job, &d->off, d->q_off, error));
@@ -159,7 +160,12 @@ static td_status carry(td_dig_plan *plan, dig_job *job, dig_drag *d, const dig_p
         }
         if (where > 0.4 || !raise(&d->up, d->q_up, job, low + RAISE_M)) raised += low + RAISE_M;
     }
-    return not_clear("way to the dump", pass, error);
+    if (emptied) return not_clear("way to the dump", pass, error);
+    return td_fail(
+        error, TD_ERROR_DATA,
+        "dump: the bucket cannot be emptied over (%.2f, %.2f) m, clear of the ground and the heap there; "
+        "take a place that is reached, or a lower one",
+        job->dump[0], job->dump[1]);
 }
 
 td_status dig_moves_add(td_dig_plan *plan, dig_job *job, dig_drag *drag, const dig_pass *pass, double *q,

@@ -5,20 +5,27 @@
  * across it lying as the bucket's edge does, both lowered by the depth. A plan keeps it (td_dig_floor), so
  * that a later plan from the changed map cuts only what still stands above it.
  *
- * Passes. The trench is cut in lanes side by side, at most as wide as the edge across their way; a lane whose
- * soil (of the bank, times swell) is V is cut in n = ceil(V / fill) passes of equal volume, by the planes
- * parallel to the floor that part V so. Each pass: return above the far end, approach down to the ground, cut
- * (in, square to the level plane; then the drag along the plane, over what stands above it), lift upright
- * while the bucket curls, carry, dump, with the opening turned down while the edge stays over the point.
- * In the cut the face leads and the floor's back is clear: the rake, between floor and motion, is within
- * rake_least_deg and rake_most_deg; at the end of the drag the mouth is within tilt_deg of upright, so that
- * the bucket holds its struck volume when it leaves the ground.
+ * Passes. The trench is cut in lanes side by side, each as wide as the edge across its way; a lane whose soil
+ * (of the bank, times swell) is V is cut in n = ceil(V / fill) passes of equal volume, by the planes parallel
+ * to the floor that part V so; the lanes take turns. Each pass: return above the far end, approach down to
+ * the ground, cut (down beside the wall, then the drag along the plane, over what stands above it), lift (off
+ * the near wall, which would be cut on the way up, then up, while the bucket curls), carry, dump: the bucket
+ * opens over the point, on the last part of its way where the arm is not long enough to open it there. Return
+ * and carry go by the joints, all others along straight lines of the edge; carry and return are raised until
+ * they are clear of what stands on their way, of the heap too. In the cut the face leads and the floor's back
+ * is clear: the rake, between floor and motion, is within rake_least_deg and rake_most_deg; at the end of the
+ * drag the mouth is near enough to upright for the bucket to hold its struck volume when it leaves the
+ * ground.
  *
- * Volumes are counted over the map's columns between its surface and the plane, over what the edge sweeps.
+ * Volumes are counted over the map's columns between its surface and the plane, over what the edge sweeps: at
+ * the ends of a trench that does not point at the machine that is a little more than the trench. Walls that
+ * do not stand slide in: plan again from the map as it is then, with the floor of the first plan.
+ *
  * The machine is to swing about its upright axis and to move the tool in an upright plane by three joints or
  * more (an excavator). Ground without a height is unknown: refused in the trench; under a carry or a return
- * it is taken to be as high as the highest known ground below the same way. Own body and bystanders: not
- * looked at (sim/clearance.h does). */
+ * it is taken to be as high as the highest known ground below the same way. The line of boom and arm keeps
+ * 0.3 m off the ground. Not looked at: own body and bystanders (sim/clearance.h does), and the shell's back,
+ * which a far wall that is upright and higher than the bucket's floor is long would rub. */
 #ifndef TELEDIMOS_SERVO_DIG_PLAN_H
 #define TELEDIMOS_SERVO_DIG_PLAN_H
 
@@ -56,7 +63,7 @@ typedef struct td_dig_options {
     double clear_m;    /* between the bucket and the highest ground below its way; default 0.5 */
     double margin;     /* to every limit of a joint, rad or m; default 0.03 */
     double rake_least_deg, rake_most_deg; /* in the cut; default 20, 100 */
-    double tilt_deg;                      /* of the mouth from upright at the end of a drag; default 38 */
+    double tilt_deg; /* of the mouth from upright where a drag ends, repose_rad at most; default 38 */
     double worth_m3; /* a pass takes that much of the bank, or is not made; default 0.02 */
     bool partly;     /* what cannot be reached is left out, and told; else the trench is refused */
 } td_dig_options;

@@ -35,7 +35,7 @@ typedef enum td_integrator_method {
 
 typedef struct td_integrator_options {
     td_integrator_method method; /* default auto */
-    double relative;             /* default 1e-6: of the result (each step is held to a share of it) */
+    double relative;             /* default 1e-6: of the result (each step is held to relative^(6/5)) */
     const double *absolute;      /* (n); NULL: 1e-9 each */
     double max_step_s;           /* 0 (default): any */
     double first_step_s;         /* 0 (default): chosen */

@@ -67,6 +67,9 @@ typedef struct td_machine_view {
     double gravity[3];           /* in the base's axes */
 } td_machine_view;
 void td_machine_open(td_machine_view *view, const td_machine *machine, const double *y);
+/* What a plant reads of the joints. */
+void td_machine_joint_readings(td_plant_state *state, const td_machine *machine, double t,
+                               const td_machine_view *view);
 
 /* machine_hydraulics.c */
 td_status td_actuators_make(td_machine *machine, td_error *error);

@@ -170,25 +170,29 @@ td_status td_machine_settle(td_machine *m, td_error *error)
 
 /* ---- readings ---- */
 
+void td_machine_joint_readings(td_plant_state *s, const td_machine *m, double t, const td_machine_view *v)
+{
+    double push[TD_ROBOT_MAX_JOINTS];
+    td_hydraulics_push(push, m, t, v);
+    for (int k = 0; k < m->robot.joint_count; k++) {
+        const td_actuator *a = m->actuator + k;
+        const td_robot_joint *j = m->robot.joint + k;
+        s->q[k] = v->q[k];
+        s->dq[k] = v->nu[6 + k];
+        s->force[k] = a->sign * push[k];
+        s->pressure[k] = a->sign * td_actuator_pressure(a, push[k]);
+        s->flow[k] = a->sign * td_actuator_flow(a, v->valve[k]);
+        s->at_stop[k] = v->q[k] <= j->lower || v->q[k] >= j->upper;
+    }
+}
+
 void td_machine_state(const td_machine *m, td_plant_state *s)
 {
     td_machine_view v;
-    const int n = m->robot.joint_count;
-    double push[TD_ROBOT_MAX_JOINTS];
     td_machine_open(&v, m, m->y);
-    td_hydraulics_push(push, m, m->t, &v);
     *s = (td_plant_state){.time_s = m->t, .site_from_vehicle = v.pose};
     memcpy(s->twist, v.nu, sizeof s->twist);
-    for (int k = 0; k < n; k++) {
-        const td_actuator *a = m->actuator + k;
-        const td_robot_joint *j = m->robot.joint + k;
-        s->q[k] = v.q[k];
-        s->dq[k] = v.nu[6 + k];
-        s->force[k] = a->sign * push[k];
-        s->pressure[k] = a->sign * td_actuator_pressure(a, push[k]);
-        s->flow[k] = a->sign * td_actuator_flow(a, v.valve[k]);
-        s->at_stop[k] = v.q[k] <= j->lower || v.q[k] >= j->upper;
-    }
+    td_machine_joint_readings(s, m, m->t, &v);
 }
 
 td_machine_energy td_machine_energies(const td_machine *m)

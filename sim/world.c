@@ -280,26 +280,16 @@ void td_world_state(const td_world *w, td_plant_state *s)
 {
     const td_machine *m = w->machine;
     const td_world_body *b = w->body;
-    double push[TD_ROBOT_MAX_JOINTS], now[6], turn[3];
+    double now[6], turn[3];
     td_machine_view v;
     td_world_view(&v, w);
-    td_hydraulics_push(push, m, td_world_time(w), &v);
     *s = (td_plant_state){.time_s = td_world_time(w), .site_from_vehicle = b->pose};
     for (int i = 0; i < 6; i++) now[i] = w->velocity[i] + w->ahead[i];
     td_base_from_site(s->twist, &b->pose, now);
     td_base_from_site(s->twist + 3, &b->pose, now + 3);
     td_machine_cross(turn, s->twist, b->com);
     for (int c = 0; c < 3; c++) s->twist[3 + c] -= turn[c];
-    for (int k = 0; k < m->robot.joint_count; k++) {
-        const td_actuator *a = m->actuator + k;
-        const td_robot_joint *j = m->robot.joint + k;
-        s->q[k] = v.q[k];
-        s->dq[k] = v.nu[6 + k];
-        s->force[k] = a->sign * push[k];
-        s->pressure[k] = a->sign * td_actuator_pressure(a, push[k]);
-        s->flow[k] = a->sign * td_actuator_flow(a, v.valve[k]);
-        s->at_stop[k] = v.q[k] <= j->lower || v.q[k] >= j->upper;
-    }
+    td_machine_joint_readings(s, m, s->time_s, &v);
 }
 
 void td_world_links(td_pose *site_from_link, const td_world *w)

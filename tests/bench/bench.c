@@ -155,6 +155,7 @@ int main(int argc, char **argv)
     bench_clock(&b);
     bench_world(&b);
     bench_soil(&b);
+    bench_servo(&b);
     bench_trajectory(&b);
     bench_clock(&b);
     return 0;

@@ -63,6 +63,9 @@ void bench_clearance(const bench *b);
 /* bench_integrator.c */
 void bench_integrator(const bench *b);
 
+/* bench_servo.c */
+void bench_servo(const bench *b);
+
 /* bench_soil.c */
 void bench_soil(const bench *b);
 

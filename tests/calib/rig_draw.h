@@ -2,19 +2,8 @@
 #ifndef TELEDIMOS_TESTS_CALIB_RIG_DRAW_H
 #define TELEDIMOS_TESTS_CALIB_RIG_DRAW_H
 
+#include "core/rig_draw.h"
 #include "tests/calib/simulate.h"
-
-/* Moves the rig by `d` (parameters of the covariance's order). */
-static inline void rig_move(td_rig *rig, const double *d)
-{
-    for (int c = 0; c < rig->count; c++) {
-        td_rig_camera *camera = &rig->camera[c];
-        const double *own = d + td_rig_parameter_offset(rig, c);
-        int count = td_camera_parameter_count(camera->camera.model);
-        for (int k = 0; k < count; k++) camera->camera.parameter[k] += own[k];
-        if (c) camera->camera_from_rig = td_pose_perturb(&camera->camera_from_rig, own + count);
-    }
-}
 
 /* Lower triangular l (n,n) with s = l l^T; rows without variance are zero. */
 static inline double *cholesky(const double *s, size_t n)
@@ -47,7 +36,7 @@ static inline td_rig *rig_draw(const td_rig *truth, const double *covariance, do
     }
     for (size_t i = 0; i < n; i++)
         for (size_t k = 0; k <= i; k++) d[i] += times * l[i * n + k] * z[k] / (unit ? sqrt(square) : 1);
-    rig_move(rig, d);
+    td_rig_move(rig, d);
     free(rig->covariance);
     rig->covariance = malloc(n * n * sizeof *rig->covariance);
     memcpy(rig->covariance, covariance, n * n * sizeof *covariance);

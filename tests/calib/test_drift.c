@@ -117,7 +117,7 @@ static void check_moved(size_t parameter, double times, const char *words, doubl
     td_random random = td_random_seed(5, parameter);
     td_rig *moved = rig_draw(s.rig, rig->covariance, 1, 0, &random);
     d[parameter] = times * sqrt(rig->covariance[parameter * (n + 1)]);
-    rig_move(moved, d);
+    td_rig_move(moved, d);
     td_observations *o = simulate(&s, 40, 41 + parameter, 0.1, 0);
     td_drift drift;
     check_ok(td_drift_measure(&drift, moved, o, NULL, &error), error);

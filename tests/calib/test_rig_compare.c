@@ -150,7 +150,7 @@ static void test_different(void **state)
         size_t k = what == 0 ? 4 : what == 1 ? 15 + 4 : 15 + 9 + 2; /* left.k1, right.k1, right.rz */
         memset(d, 0, n * sizeof *d);
         d[k] = 10 * sqrt(2 * b->covariance[k * (n + 1)]);
-        rig_move(moved, d);
+        td_rig_move(moved, d);
         check_ok(td_rig_compare_run(&c, a, moved, 0.5, 1e-3, &error), error);
         printf("  %s\n", c.text);
         assert_true(c.significant);

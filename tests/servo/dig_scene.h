@@ -69,18 +69,23 @@ static td_dig_bucket dig_bucket(const td_robot *robot, const td_soil_bucket *b)
     return d;
 }
 
+static void set_soil(scene *s, const char *name)
+{
+    char path[1024];
+    snprintf(path, sizeof path, "%s/datasets/soils/%s.yaml", TD_SOURCE_DIR, name);
+    check_ok(td_soil_preset_read(&s->soil, path, &error), error);
+}
+
 /* A trench 1.1 m wide, 2.4 m long, 0.5 m deep, 7 m before the machine; dumped to its left. */
 static scene make_scene(double slope_x, double slope_y, double bump_m, double yaw)
 {
-    char path[1024];
     scene s = {.robot = excavator(), .q = {0.3, -0.8, 1.9, 1.0}};
     make_map(&s, slope_x, slope_y, bump_m);
     s.site_from_vehicle = standing(slope_x, slope_y, yaw);
     s.tool = tool_of(s.robot, "bucket_tip", 4, 0);
     s.soil_bucket = td_soil_bucket_zx200();
     s.bucket = dig_bucket(s.robot, &s.soil_bucket);
-    snprintf(path, sizeof path, "%s/datasets/soils/dirt_1.yaml", TD_SOURCE_DIR);
-    check_ok(td_soil_preset_read(&s.soil, path, &error), error);
+    set_soil(&s, "dirt_1");
     s.dig = (td_task_dig){
         .from = {.at_m = {7, 0, 7 * slope_x}}, .length_m = 2.4, .depth_m = 0.5, .force_n = INFINITY};
     s.dump = (td_task_point){.at_m = {0.5, 6, 6 * slope_y}};

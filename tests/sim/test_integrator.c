@@ -1,4 +1,4 @@
-/* Proves: the end of each standard problem within 10 tolerances, at 1e-6 and 1e-8; exact solutions of
+/* Proves: the end of each standard problem within 10 tolerances, at 1e-4, 1e-6 and 1e-8; exact solutions of
  * linear ones; events at their exact times, in order, also two in a step; switching to BDF and back as the
  * stiffness comes and goes; the same bits however the time is cut into pieces; what cannot be integrated is
  * refused, naming where. Reference: closed forms, and the solutions published with the test set (Mazzia and
@@ -31,8 +31,8 @@ static void solve(double *end, td_integrator_counters *count, const problem *p, 
 
 static void check_end(const problem *p, const double *truth)
 {
-    static const double relative[2] = {1e-6, 1e-8};
-    for (int k = 0; k < 2; k++)
+    static const double relative[3] = {1e-4, 1e-6, 1e-8};
+    for (int k = 0; k < 3; k++)
         for (int m = 0; m < 3; m += 2) {
             double end[8];
             td_integrator_counters c;
@@ -43,7 +43,7 @@ static void check_end(const problem *p, const double *truth)
             printf("%-12s %g, tolerance %g, %s: error %.2f tolerances, %ld rates, %ld Jacobians, %ld steps\n",
                    p->name, p->parameter, relative[k], m ? "BDF" : "auto", most, c.rates, c.jacobians,
                    c.steps);
-            if (m == 0) check_less(most, 10);
+            check_less(most, 10);
         }
 }
 
@@ -81,10 +81,11 @@ static void test_robertson(void **state)
 typedef struct stiffness {
     double begin, end, rate;
 } stiffness;
+/* Where it is easy, the steps that accuracy allows lie far within the reach of Adams' stability. */
 static bool tracking_rate(double *d, double t, const double *y, void *user)
 {
     const stiffness *s = user;
-    double k = t > s->begin && t < s->end ? s->rate : 1;
+    double k = t > s->begin && t < s->end ? s->rate : 0.1;
     d[0] = -k * (y[0] - cos(t)) - sin(t);
     return true;
 }
@@ -104,13 +105,13 @@ static void test_switches(void **state)
     assert_int_equal(td_integrator_count(g).method, TD_INTEGRATOR_ADAMS);
     check_ok(td_integrator_advance(g, 30, &event, NULL, &error), error);
     assert_int_equal(td_integrator_count(g).method, TD_INTEGRATOR_BDF);
-    check_ok(td_integrator_advance(g, 80, &event, NULL, &error), error);
+    check_ok(td_integrator_advance(g, 150, &event, NULL, &error), error);
     assert_int_equal(td_integrator_count(g).method, TD_INTEGRATOR_ADAMS);
     td_integrator_counters c = td_integrator_count(g);
     assert_int_equal(c.to_bdf, 1);
     assert_int_equal(c.to_adams, 1);
-    assert_true(c.time_in_bdf_s > 25 && c.time_in_bdf_s < 55);
-    check_near(td_integrator_state(g)[0], cos(80), 1e-5);
+    assert_true(c.time_in_bdf_s > 25 && c.time_in_bdf_s < 90);
+    check_near(td_integrator_state(g)[0], cos(150), 1e-5);
     td_integrator_free(&g);
 }
 
