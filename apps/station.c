@@ -151,6 +151,28 @@ static td_status make_world(station *s, td_error *error)
     return td_world_new(&s->world, s->robot, s->first, &o, error);
 }
 
+/* Along the middle of each track: the world looks at a few points of them only. */
+static td_status check_standing(const station *s, const td_plant_state *start, td_error *error)
+{
+    static const double HALF_LENGTH_M = 2, STEP_M = 0.05;
+    const double half = station_half_gauge(s);
+    if (s->machine.base != TD_MACHINE_SUSPENDED) return TD_OK;
+    for (int side = -1; side <= 1; side += 2)
+        for (double x = -HALF_LENGTH_M; x <= HALF_LENGTH_M; x += STEP_M) {
+            const double at[3] = {x, side * half, 0};
+            double p[3];
+            td_pose_transform(p, &start->site_from_vehicle, at);
+            if (isnan(td_elevation_at(s->first, p[0], p[1], NULL)))
+                return td_fail(
+                    error, TD_ERROR_DATA,
+                    "the machine cannot stand at (%.2f, %.2f) m: under its %s track, at (%.2f, %.2f) "
+                    "m, the map has a hole or ends; start elsewhere, look again, or fill the map",
+                    start->site_from_vehicle.t[0], start->site_from_vehicle.t[1], side < 0 ? "right" : "left",
+                    p[0], p[1]);
+        }
+    return TD_OK;
+}
+
 /* The machine settles before the soil is there, whose first step places the bucket. */
 static td_status begin(station *s, const td_plant_state *start, td_error *error)
 {
@@ -158,6 +180,7 @@ static td_status begin(station *s, const td_plant_state *start, td_error *error)
     s->peak_n = 0;
     td_clearance_map_free(&s->clearance);
     td_elevation_free(&s->now);
+    TD_TRY(check_standing(s, start, error));
     TD_TRY(make_soil(s, s->first, error));
     TD_TRY(make_world(s, error));
     TD_TRY(td_world_reset(s->world, start, error));

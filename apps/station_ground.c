@@ -173,6 +173,7 @@ static td_status run(const char *name, const char *const *argv, td_error *error)
     if (WIFEXITED(code) && (WEXITSTATUS(code) == 0 || WEXITSTATUS(code) == 3)) return TD_OK;
     const char *last = strrchr(said, '\n');
     last = last ? last + 1 : said;
+    if (strncmp(last, "teledimos ", 10) == 0 && strstr(last, ": ")) last = strstr(last, ": ") + 2;
     return td_fail(error, WIFSIGNALED(code) ? TD_ERROR_CANCELLED : TD_ERROR_DATA, "%s",
                    *last ? last : "a command that makes the map was ended from outside");
 }

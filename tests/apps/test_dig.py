@@ -16,7 +16,7 @@ import tempfile
 
 import numpy
 
-from common import SANITIZED, SOURCE, check, finish, refused, run, skip
+from common import FULL, SANITIZED, SOURCE, check, finish, refused, run, skip
 
 try:
     from osgeo import gdal
@@ -146,12 +146,7 @@ def soil_of(folder, name, cohesion):
 
 
 def test_hard(folder, site):
-    """Clods as hard as stone; and clay for a machine of a third of the pressure, whose cylinders do not pull the bucket through."""
-    stone = soil_of(folder, "stone", 150000)
-    result = simulate(scenario(folder, "hard", DIG % "" + DUMP, f"{{map: {site}, soil: {stone}}}"), os.path.join(folder, "hard"),
-                      "--gate", "left_share=0.1", status=3)
-    check(result["steps_done"] == 2 and result["mass_error_kg"] == 0 and any("still stand" in r for r in result["reasons"]),
-          f"as hard as stone: {result['reasons'][-1]}")
+    """Hard soil for a machine of a third of the pressure, whose cylinders do not pull the bucket through."""
     weak = os.path.join(folder, "weak")
     for end in (".urdf", ".yaml"):
         with open(ROBOT.replace(".urdf", end)) as file, open(weak + end, "w") as to:
@@ -207,6 +202,8 @@ def test_site(folder):
     result = simulate(example, out)
     check(result["mass_error_kg"] == 0 and result["left_m3"] < 0.1 * result["planned_m3"] and result["clearance_min_m"] > 0,
           f"rendered, reconstructed, dug: {result['dug_volume_m3']:.3f} of {result['planned_m3']:.3f} m3")
+    if not FULL:
+        return
     kept = {name: os.stat(os.path.join(out, name)).st_mtime_ns for name in ("site/left/01.png",)}
     again = simulate(example, out)
     check(kept == {name: os.stat(os.path.join(out, name)).st_mtime_ns for name in kept} and
@@ -242,7 +239,8 @@ def test_refused(folder, site):
     bad("a map that is none", ["loam.yaml"], f"{{map: {LOAM}}}", "  - wait: {for_s: 1}\n")
     bad("a hole under the tracks", ["hole", "start elsewhere"], "{map: " + changed("under", hole(1.2, 1.1, 0.3)) + soil + "}")
     bad("over an edge", ["bad.yaml"], "{map: " + changed("edge", edge) + soil + "}")
-    bad("outside the map", ["hole or ends"], f"{{map: {site}{soil}}}", start=", base: {q: [1, 0, 0, 0], t_m: [50, 0, 0]}")
+    bad("outside the map", ["hole or ends"], f"{{map: {site}{soil}}}", "  - wait: {for_s: 1}\n",
+        ", base: {q: [1, 0, 0, 0], t_m: [50, 0, 0]}")
     x, y = places()
     buried = write_map(os.path.join(folder, "buried.tif"), rolling() + numpy.where(x > 5, 4.0, 0.0))
     bad("a bucket that is buried", ["bucket", "under the ground"], f"{{map: {buried}{soil}}}")
