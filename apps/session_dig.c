@@ -174,7 +174,7 @@ static td_status begin_move(session *x, td_error *error)
     char text[200];
     const td_dig_move *c = d->plan ? d->plan->move + d->move : NULL;
     if (c && c->cut_m3 > 0) {
-        d->raised = d->stalled = false;
+        d->raised = false;
         x->run->dug.passes++;
         snprintf(text, sizeof text, "%d of %d, lane %d: %.2f m3 of the bank, %.2f m deep", c->pass + 1,
                  d->plan->pass_count, c->lane + 1, c->cut_m3, c->depth_m);

@@ -24,7 +24,7 @@ typedef struct session_dig {
     int move, round;    /* move: the next */
     double raise_m;     /* by which the edge is raised, for the force's sake */
     double stalled_s;
-    bool raised, stalled; /* in this pass: each is told once */
+    bool raised; /* in this pass: told once */
 } session_dig;
 
 typedef struct session {

@@ -178,14 +178,18 @@ static void from_the_side(td_report *r, const task_job *j)
         .robot = j->scenario->robot,
         .robot_surface = {.albedo = 0.75},
         .site_from_vehicle = a->state.site_from_vehicle,
-        .sun = {-0.36, 0.48, 0.8},
+        .sun = {0, 0, 0.8},
         .ambient = 0.35};
     td_view *picture = NULL;
     memcpy(scene.q, a->state.q, sizeof scene.q);
     const double ahead[2] = {tool[0] - base[0], tool[1] - base[1]}, far = fmax(1, hypot(ahead[0], ahead[1]));
     const double at[3] = {base[0] + 0.5 * ahead[0], base[1] + 0.5 * ahead[1], base[2] + 1.8};
+    /* Light from behind the eye. */
+    const double side[2] = {ahead[1] / far, -ahead[0] / far};
     const double eye[3] = {at[0] + 13 * ahead[1] / far + 4 * ahead[0] / far,
                            at[1] - 13 * ahead[0] / far + 4 * ahead[1] / far, base[2] + 6};
+    scene.sun[0] = 0.6 * (0.8 * side[0] + 0.6 * side[1]);
+    scene.sun[1] = 0.6 * (0.8 * side[1] - 0.6 * side[0]);
     const td_pose site_from_camera = looking(eye, at);
     if (draw(&picture, &scene, &site_from_camera) == TD_OK)
         td_report_picture(r, picture->image, 960, "the machine on the ground as it is at the end", NULL, 0);

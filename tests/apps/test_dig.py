@@ -15,6 +15,7 @@ import os
 import tempfile
 
 import numpy
+import yaml
 
 from common import FULL, SANITIZED, SOURCE, check, finish, refused, run, skip
 
@@ -78,6 +79,11 @@ def simulate(path, out, *options, status=0):
     return json.loads(text)
 
 
+def read_result(out):
+    with open(os.path.join(out, "result.yaml")) as file:
+        return yaml.safe_load(file)
+
+
 def same(one, two):
     different = []
     for name in PRODUCTS:
@@ -125,6 +131,15 @@ def test_trench(folder, site):
     check(not same(out, out + "2"), f"again: the same bytes {same(out, out + '2')}")
     simulate(path, out + "3", "--replay", out + "/events.csv")
     check(not same(out, out + "3"), f"replayed: the same bytes {same(out, out + '3')}")
+
+
+def test_again(folder, site):
+    """Aborted in a cut, made ready and begun anew: the ground is as it was, and so is what comes of it."""
+    orders = "operator: [{at_s: 6, order: Abort}, {at_s: 8, order: Reinit}, {at_s: 9, order: StartSim}]\n"
+    path = scenario(folder, "anew", DIG % "" + DUMP, f"{{map: {site}, soil: {LOAM}}}", rest=orders)
+    result, first = simulate(path, os.path.join(folder, "anew")), read_result(os.path.join(folder, "trench"))
+    check(result["steps_done"] == 2 and abs(result["dug_volume_m3"] - first["dug_volume_m3"]) < 0.002 and result["mass_error_kg"] == 0,
+          f"begun anew: {result['dug_volume_m3']:.4f} and {first['dug_volume_m3']:.4f} m3")
 
 
 def test_force(folder, site):
@@ -265,6 +280,7 @@ def test_refused(folder, site):
 with tempfile.TemporaryDirectory() as place:
     plain = write_map(os.path.join(place, "rolling.tif"), rolling())
     test_trench(place, plain)
+    test_again(place, plain)
     test_force(place, plain)
     test_hard(place, plain)
     test_drive(place, plain)
