@@ -148,6 +148,10 @@ def test_force(folder, site):
     check(named(result, "force") and result["raised_max_m"] > 0.02 and result["mass_error_kg"] == 0 and
           result["left_m3"] < 0.2 * result["planned_m3"],
           f"7 kN are kept by raising the edge {result['raised_max_m']:.2f} m; {result['passes']} passes leave {result['left_m3']:.2f} m3")
+    # 81 % without that force, 30 % with it: what lifts out of the ground is not held to it.
+    data = numpy.genfromtxt(os.path.join(folder, "force", "trajectory.csv"), delimiter=",", names=True, dtype=None, encoding="utf-8")
+    force = data["contact_n"][data["contact_n"] > 500]
+    check((force > 8500).mean() < 0.5, f"{100 * (force > 8500).mean():.0f} % of the time the soil takes more than 8.5 kN")
 
 
 def soil_of(folder, name, cohesion):
