@@ -199,8 +199,11 @@ static void steer(double *left, double *right, td_track_drive *d, const double i
     const double x = c * dx + s * dy, y = -s * dx + c * dy, theta = wrapped(wanted[2] - is[2]);
     const bool turns = d->way[d->part].length_m == 0;
     const double speed = turns ? 0 : v * cos(theta) + K_X * x;
-    const double turn =
-        w + v * K_Y * y + fabs(v) * K_THETA * sin(theta) + (turns ? K_PLACE : K_TURN) * sin(theta);
+    const double turn = w + v * K_Y * y + fabs(v) * K_THETA * sin(theta) +
+                        (turns    ? K_PLACE
+                         : v == 0 ? K_TURN
+                                  : 0) *
+                            sin(theta);
     d->off_m = turns ? 0 : fabs(x);
     d->off_rad = fabs(theta);
     *left = speed - turn * d->options.half_gauge_m;

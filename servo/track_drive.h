@@ -5,9 +5,9 @@
  * Where it should be moves along the way (trapezoid of speed). The tracks' speeds lead it there and take back
  * how far it is off, as Kanayama, Kimura, Miyazaki and Noguchi ("A stable tracking control method for an
  * autonomous mobile robot", ICRA 1990): with the error (x, y, theta) in the machine's axes, v_r and w_r of
- * the way, v = v_r cos theta + k_x x,   w = w_r + v_r (k_y y + k_theta sin theta) + k_turn sin theta, k_turn
- * (ours) more where it turns in place. Tracks: v -+ w b, b half their gauge; where one is beyond the speed
- * limit both are slowed alike. Slip is not known to it, only seen. */
+ * the way, v = v_r cos theta + k_x x and w = w_r + v_r k_y y + |v_r| k_theta sin theta; at its end and where
+ * it turns in place w = w_r + k_turn sin theta (ours). Tracks: v -+ w b, b half their gauge; where one is
+ * beyond the speed limit both are slowed alike. Slip is not known to it, only seen. */
 #ifndef TELEDIMOS_SERVO_TRACK_DRIVE_H
 #define TELEDIMOS_SERVO_TRACK_DRIVE_H
 

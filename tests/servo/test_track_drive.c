@@ -112,6 +112,24 @@ static void comes_to_a_goal(void **state)
         }
 }
 
+/* Shoved aside by 0.3 m at the start, it is back on its line 6 m further on, forwards and backwards. */
+static void takes_back_a_shove(void **state)
+{
+    (void)state;
+    for (int way = -1; way <= 1; way += 2) {
+        machine m = {.half_gauge = 1.1};
+        const td_task_drive task = {.distance_m = way * 6.0};
+        td_track_drive d;
+        double seconds;
+        start(&d, &m, &task, TD_TASK_VEHICLE);
+        m.y += 0.3;
+        drive(&m, &d, &seconds);
+        assert_true(d.done);
+        check_near(m.x, way * 6, 0.06);
+        check_near(m.y, 0, 0.03);
+    }
+}
+
 /* The way's points lead from where it stands to the goal, each a step from the one before. */
 static void tells_its_way(void **state)
 {
@@ -162,8 +180,11 @@ static void refuses(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(goes_along_an_arc), cmocka_unit_test(comes_to_a_goal),
-        cmocka_unit_test(tells_its_way),     cmocka_unit_test(is_stuck_where_it_does_not_move),
+        cmocka_unit_test(goes_along_an_arc),
+        cmocka_unit_test(comes_to_a_goal),
+        cmocka_unit_test(tells_its_way),
+        cmocka_unit_test(takes_back_a_shove),
+        cmocka_unit_test(is_stuck_where_it_does_not_move),
         cmocka_unit_test(refuses),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
