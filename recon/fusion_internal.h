@@ -100,11 +100,12 @@ bool td_tile_unpack(td_tile *tile, td_cell *cell, FILE *file, const td_fusion_op
 td_status td_fusion_load_stream(td_fusion **fusion, const td_fusion_options *options, FILE *file,
                                 const char *name, td_error *error);
 
-/* ---- a frame: fusion_points.c, fusion_measure.c ---- */
+/* ---- a frame: fusion_edge.c, fusion_points.c, fusion_measure.c ---- */
 
 typedef struct td_frame_point {
     float x, y, z; /* m: from its cell's centre; above the camera */
     float weight;  /* 1/m^2: 1 / variance of its depth */
+    float edge;    /* m^2: variance of its depth besides, for edges near */
     uint32_t cell; /* in its tile */
 } td_frame_point;
 
@@ -114,6 +115,8 @@ typedef struct td_frame_cell {
     double residual;                 /* m^2, weighted sum of squares off the plane */
     double slope[2], slope_variance; /* of each */
     double relief;                   /* m^2, of the cells around off their plane, beyond matching's noise */
+    double edge;                     /* m^2: weighted mean of the points' */
+    double smear; /* m^2: variance of the heights around, where no surface can be; else 0 */
     uint32_t count;
     uint16_t cell;
 } td_frame_cell;
@@ -140,8 +143,11 @@ typedef struct td_frame_cells {
     size_t tile_count;
     td_frame_point *point; /* by tile, in the order of the pixels */
     size_t point_count;
+    float *edge; /* (height,width) of td_frame_edges, while the points are sorted */
 } td_frame_cells;
 
+/* Standard deviation, px, that edges near a pixel give its disparity besides its sigma: (height,width). */
+td_status td_frame_edges(float **edge, const td_disparity *disparity, int threads, td_error *error);
 td_status td_frame_sort(td_frame_cells *cells, td_error *error);
 td_status td_frame_measure(td_frame_cells *cells, td_error *error);
 void td_frame_free(td_frame_cells *cells);

@@ -15,7 +15,12 @@
  * all but a strip h of the cell have their mean h / 2 of the cell away from its centre; the strip's part in
  * the mean is h, and it lies the farther off the wider it is: h^2 relief^0.5 together. Points in rows, n of
  * them, miss relief^0.5 / n.) Without it, cells at the upper edge of a stone would take a slope along the
- * ray, and a sigma of nothing. */
+ * ray, and a sigma of nothing;
+ * - edges: the variance that fusion_edge.c gives the points besides;
+ * - smear: what the camera sees is turned towards it. Where the plane around is turned less than LEAST_FACING
+ * of what level ground is, or away, the points hang in the air between an edge and what lies behind it: a
+ * slope along the ray once more. The variance of the heights around counts whole, and where it is clearly
+ * more than noise the slope is taken as not known. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -26,6 +31,7 @@
 static const double STEEPEST = 4;           /* slopes beyond are steps, and their sigma is their scatter's */
 static const double UNKNOWN_SLOPE = 0.5;    /* standard deviation of a slope that is not known */
 static const double EXPECTED_SCATTER = 4;   /* times its variance: chance, and matching's tails */
+static const double LEAST_FACING = 0.6;     /* of the sine at which level ground is seen */
 static const double LEAST_VARIANCE = 1e-10; /* m^2: (10 um)^2 */
 
 static double dot(const double a[3], const double b[3])
@@ -68,6 +74,7 @@ static void sum_tile(size_t index, void *user)
         c->x += w * (double)p->x;
         c->y += w * (double)p->y;
         c->z += w * (double)p->z;
+        c->edge += w * (double)p->edge;
         c->count++;
     }
     for (size_t i = 0; i < tile->cells; i++) {
@@ -75,6 +82,7 @@ static void sum_tile(size_t index, void *user)
         c->x /= c->weight;
         c->y /= c->weight;
         c->z /= c->weight;
+        c->edge /= c->weight;
     }
 }
 
@@ -124,6 +132,17 @@ static double mean_variance(const td_frame_cell *cell, const td_frame_cells *c, 
     return along * along * cell->count / cell->weight * averaged(cell, c) * fmin(1, apart);
 }
 
+/* The plane of slope g is seen at less than LEAST_FACING of the sine at which level ground is, or from
+ * behind. */
+static bool faces_away(const double g[2], const td_frame_cell *cell, const td_frame_cells *c,
+                       const td_frame_tile *tile)
+{
+    double way[3], seen[3];
+    way_to(way, seen, cell, c, tile);
+    return way[0] * g[0] + way[1] * g[1] - way[2] <
+           -LEAST_FACING * way[2] * sqrt(1 + g[0] * g[0] + g[1] * g[1]);
+}
+
 static void find_slope(td_frame_cell *cell, const td_frame_cells *c, const td_frame_tile *tile)
 {
     const int column = cell->cell % TD_TILE_SIDE, row = cell->cell / TD_TILE_SIDE;
@@ -142,16 +161,21 @@ static void find_slope(td_frame_cell *cell, const td_frame_cells *c, const td_fr
     xx -= x * x / n, xy -= x * y / n, yy -= y * y / n;
     xz -= x * z / n, yz -= y * z / n, zz -= z * z / n;
     const double det = xx * yy - xy * xy;
+    const double ground = UNKNOWN_SLOPE * UNKNOWN_SLOPE;
     double g[2] = {0, 0}, noise = INFINITY;
-    cell->relief = 0;
+    cell->relief = cell->smear = 0;
     if (n >= 5 && det > 0.05 * side * side * side * side) {
         const double matching = mean_variance(cell, c, tile);
         g[0] = (yy * xz - xy * yz) / det;
         g[1] = (xx * yz - xy * xz) / det;
         cell->relief = fmax(0, (zz - g[0] * xz - g[1] * yz) / fmax(n - 3, 1) - matching);
         noise = (matching + cell->relief) * fmax(xx, yy) / det;
+        const double sure = ground / (ground + noise), held[2] = {sure * g[0], sure * g[1]};
+        if (faces_away(held, cell, c, tile)) {
+            cell->smear = fmax(0, zz / n - matching);
+            if (cell->smear > EXPECTED_SCATTER * matching) noise = INFINITY;
+        }
     }
-    const double ground = UNKNOWN_SLOPE * UNKNOWN_SLOPE;
     const double trust = ground / (ground + noise), length = trust * hypot(g[0], g[1]);
     const double held = trust * (length > STEEPEST ? STEEPEST / length : 1);
     for (int i = 0; i < 2; i++) cell->slope[i] = held * g[i];
@@ -211,6 +235,7 @@ static td_measure measure(const td_frame_cells *c, const td_frame_tile *tile, co
     const double sideways = cell->slope_variance * (way[0] * way[0] + way[1] * way[1]) / (seen[2] * seen[2]);
     const double one = (along * along + sideways) * depth; /* variance of one point's height */
     const double matching = one * averaged(cell, c) + LEAST_VARIANCE;
+    const double edges = (along * along + sideways) * cell->edge * averaged(cell, c) + cell->smear;
     const double scatter = fmax(0, cell->residual / cell->weight - EXPECTED_SCATTER * one);
     const double away = hypot(cell->x, cell->y);
     const double hidden = fmin(1, 2 * away / c->fusion->options.cell_m);
@@ -218,9 +243,9 @@ static td_measure measure(const td_frame_cells *c, const td_frame_tile *tile, co
         cell->slope_variance * away * away + (pow(hidden, 4) + pow(cell->count, -2)) * cell->relief;
     const double pose = td_frame_pose_variance(c, p, up);
     return (td_measure){.height = from[2] + cell->z - cell->slope[0] * cell->x - cell->slope[1] * cell->y,
-                        .noise = matching + scatter + off + pose,
-                        .repeated = c->fusion->options.repeat_share * matching + scatter + off + pose,
-                        .anywhere = c->fusion->options.elsewhere_share * matching,
+                        .noise = matching + scatter + off + pose + edges,
+                        .repeated = c->fusion->options.repeat_share * matching + scatter + off + pose + edges,
+                        .anywhere = c->fusion->options.elsewhere_share * matching + edges,
                         .common = calibration(c, seen, up, cell->slope_variance),
                         .place = c->place,
                         .count = cell->count,

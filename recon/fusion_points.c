@@ -97,11 +97,12 @@ static size_t place_row(placed *to, const td_frame_cells *c, const optics *o, in
         const int32_t cx = floor_of(x * o->per_cell + 0.5), cy = floor_of(y * o->per_cell + 0.5);
         if (cx < o->bounds[0] || cx > o->bounds[1] || cy < o->bounds[2] || cy > o->bounds[3]) continue;
         const double precision = d / (depth * sigma); /* 1 / standard deviation of the depth */
-        to[count++] =
-            (placed){cx,
-                     cy,
-                     {(float)(x - cx * o->cell_m), (float)(y - cy * o->cell_m),
-                      (float)(depth * (ray[2] + u * o->right[2])), (float)(precision * precision), 0}};
+        const double edge = (double)c->edge[first + column] * depth / d;
+        to[count++] = (placed){cx,
+                               cy,
+                               {(float)(x - cx * o->cell_m), (float)(y - cy * o->cell_m),
+                                (float)(depth * (ray[2] + u * o->right[2])), (float)(precision * precision),
+                                (float)(edge * edge), 0}};
     }
     return count;
 }
@@ -223,18 +224,22 @@ static td_status sort(sorter *s, td_error *error)
 td_status td_frame_sort(td_frame_cells *cells, td_error *error)
 {
     sorter s = {.cells = cells};
-    td_status status = sort(&s, error);
+    td_status status = td_frame_edges(&cells->edge, cells->frame->disparity, cells->threads, error);
+    if (status == TD_OK) status = sort(&s, error);
     for (int k = 0; k < STRIPS; k++) {
         free(s.strip[k].point);
         free(s.strip[k].next);
     }
+    free(cells->edge);
+    cells->edge = NULL;
     return status;
 }
 
 size_t td_fusion_frame_memory(int width, int height)
 {
     const size_t sorting = sizeof(placed), cells = sizeof(td_frame_cell) + sizeof(td_measure);
-    return (size_t)width * (size_t)height * (sizeof(td_frame_point) + (sorting > cells ? sorting : cells));
+    const size_t first = sorting + sizeof(float), most = first > cells ? first : cells; /* a float of edges */
+    return (size_t)width * (size_t)height * (sizeof(td_frame_point) + most);
 }
 
 void td_frame_free(td_frame_cells *c)

@@ -1,8 +1,10 @@
 """Proves, on the rendered site whose ground is known everywhere (truth/ground-*.tif, truth/poses.csv, read by GDAL's own Python):
 - a trench dug between two visits: its volume within 2 % and within 2 sigma of the truth over the same cells; in one fused map it is
   believed after N = 3 frames, and no cell that was not seen again is altered in any bit;
-- the machine's arm in view is not in the map: no cell stands 5 sigma and 0.3 m above the ground (the arm is 1 m and more above it;
-  stones' edges, where matching fattens them, stay below that: printed);
+- the machine's arm in view is not in the map: no cell in its reach stands 5 sigma and 0.3 m above the ground (the arm is 1 m and more
+  above it), and at stones' edges, which matching fattens, at most 0.05 % of the cells stand 5 sigma above it, 0.1 % where the trench's
+  lips are seen in part (0.02 and 0.07 % as measured; 0.4 and 0.6 % when sigma knows nothing of edges). A cell's height is that of its
+  square, so the truth is the ground's mean over it;
 - a map known before is kept, bit for bit, where nothing is seen;
 - frames whose pose is withheld are found: on the map so far (error within 4 sigma in each of x, y, z and below 10 mm), by tags (same),
   and the method and sigma are in the result; one that cannot be is named and left out.
@@ -130,13 +132,15 @@ def test_trench():
     check(unseen.sum() > 5000 and (kept | gone).all() and gone.mean() < 0.02,
           f"{unseen.sum()} cells not seen again: {kept.sum()} the same bits, {gone.sum()} looked through and cleared")
     # The arm.
-    for name, map_, told in (("before", b, told_b), ("after", a, told_a)):
+    offsets = (np.arange(8) + 0.5) / 8 * cell - cell / 2
+    for name, map_, most in (("before", b, 0.0005), ("after", a, 0.001)):
+        told = sum(truth_at(name, x + u, y + v) for u in offsets for v in offsets) / 64
         error, sigma = map_["height"] - told, map_["sigma"]
         known = np.isfinite(error) & (x < 12)  # the arm reaches 10 m
         above = known & (error > 5 * sigma)
-        check(not (above & (error > 5 * sigma + 0.3)).any(),
-              f"{name}: no cell of the arm; {100 * above.sum() / known.sum():.2f} % of {known.sum()} cells are above by 5 sigma (stones' edges, "
-              f"at most {error[above].max():.2f} m)")
+        check(not (above & (error > 5 * sigma + 0.3)).any() and above.sum() <= most * known.sum(),
+              f"{name}: no cell of the arm; {above.sum()} of {known.sum()} cells are above by 5 sigma, the most by "
+              f"{(error / sigma)[known].max():.1f} sigma")
 
 
 def test_prior():

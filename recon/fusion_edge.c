@@ -1,0 +1,101 @@
+/* Where a disparity may be of another surface than its pixel's.
+ *
+ * A window that sees two surfaces gives one of them to all of its pixels, mostly the nearer ("foreground
+ * fattening"; Scharstein & Szeliski 2002), or a value between: behind a stone's upper edge the stone seems to
+ * go on, in steps too small for the check from the right image. The sigma of such a disparity knows nothing
+ * of it. What shows it, in the disparities d, is the bulge at a distance of w pixels,
+ *
+ *     b_w(p) = 2 d(p) - d(p + w) - d(p - w),
+ *
+ * which is nothing on a plane however aslant, along rows, columns and both diagonals:
+ *
+ *     b_w(p) itself, w up to a window and a half: the pixel is nearer than what lies around it;
+ *     |b_5| of any pixel within a window: an edge or a fold is near, on whichever side.
+ *
+ * The larger of the two, the second times NEARBY, held to MOST_BULGE (of large steps most are matched well,
+ * for they are found out), bounds the error: on rendered ground 68 % of them are below a fifth of it, 99 %
+ * below 0.7 of it. Below CHANCE it is noise and roughness, which sigma holds. */
+#include <math.h>
+#include <stdlib.h>
+
+#include "core/parallel.h"
+#include "recon/fusion_internal.h"
+
+/* px. A window of the matching has 9; its sums reach farther. */
+enum { REACH = 8, SHORT = 5, SPAN = 4, SPANS = 3, WAYS = 4 };
+static const float NEARBY = 0.45f, MOST_BULGE = 3, CHANCE = 1.35f; /* the last two px */
+static const float BY_BULGE = 0.45f;
+static const int ACROSS[WAYS] = {1, 0, 1, 1}, DOWN[WAYS] = {0, 1, 1, -1};
+
+typedef struct work {
+    const td_disparity *disparity;
+    float *along; /* (height,width) largest |b| within reach along the row */
+    float *edge;  /* (height,width) the result; before that each row's |b| */
+} work;
+
+/* Filled pixels count too: there, it is the background. NaN: none. */
+static float at(const td_disparity *d, int x, int y)
+{
+    if (x < 0 || y < 0 || x >= d->width || y >= d->height) return NAN;
+    return d->value[(size_t)y * (size_t)d->width + (size_t)x];
+}
+
+static float bulge(const td_disparity *d, int x, int y, int w, int way)
+{
+    const int dx = w * ACROSS[way], dy = w * DOWN[way];
+    return 2 * at(d, x, y) - at(d, x + dx, y + dy) - at(d, x - dx, y - dy);
+}
+
+static void look_along(size_t row, void *user)
+{
+    const work *w = user;
+    const td_disparity *d = w->disparity;
+    const size_t first = row * (size_t)d->width;
+    float *here = w->edge + first, *along = w->along + first;
+    for (int x = 0; x < d->width; x++) {
+        here[x] = 0;
+        for (int way = 0; way < WAYS; way++)
+            here[x] = fmaxf(here[x], fabsf(bulge(d, x, (int)row, SHORT, way)));
+    }
+    for (int x = 0; x < d->width; x++) {
+        const int end = x + REACH < d->width ? x + REACH : d->width - 1;
+        along[x] = 0;
+        for (int u = x < REACH ? 0 : x - REACH; u <= end; u++) along[x] = fmaxf(along[x], here[u]);
+    }
+}
+
+static void look_down(size_t row, void *user)
+{
+    const work *w = user;
+    const td_disparity *d = w->disparity;
+    const int y = (int)row, end = y + REACH < d->height ? y + REACH : d->height - 1;
+    float *edge = w->edge + row * (size_t)d->width;
+    for (int x = 0; x < d->width; x++) edge[x] = 0;
+    for (int v = y < REACH ? 0 : y - REACH; v <= end; v++) {
+        const float *along = w->along + (size_t)v * (size_t)d->width;
+        for (int x = 0; x < d->width; x++) edge[x] = fmaxf(edge[x], NEARBY * along[x]);
+    }
+    for (int x = 0; x < d->width; x++) {
+        for (int k = 0; k < WAYS * SPANS; k++)
+            edge[x] = fmaxf(edge[x], bulge(d, x, y, SPAN * (k / WAYS + 1), k % WAYS));
+        const float held = fminf(edge[x], MOST_BULGE);
+        edge[x] = BY_BULGE * sqrtf(fmaxf(0, held * held - CHANCE * CHANCE));
+    }
+}
+
+td_status td_frame_edges(float **edge, const td_disparity *d, int threads, td_error *error)
+{
+    const size_t n = (size_t)d->width * (size_t)d->height;
+    work w = {d, malloc(n * sizeof(float)), malloc(n * sizeof(float))};
+    const bool fine = w.along && w.edge;
+    if (fine) {
+        td_parallel_for((size_t)d->height, threads, look_along, &w, NULL, NULL);
+        td_parallel_for((size_t)d->height, threads, look_down, &w, NULL, NULL);
+    } else {
+        free(w.edge);
+        w.edge = NULL;
+    }
+    free(w.along);
+    *edge = w.edge;
+    return fine ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for the edges of a frame");
+}
