@@ -2,8 +2,8 @@
 #include "sim/soil_internal.h"
 
 static const double DEGREE = 0.017453292519943295;
-static const double AHEAD_M = 0.5;                          /* over which the ground's slope is taken */
-static const double RAKE_LOW_DEG = 10, SUM_HIGH_DEG = 165;  /* of the wedge's formula, where it is used */
+static const double AHEAD_M = 0.5;                         /* over which the ground's slope is taken */
+static const double RAKE_LOW_DEG = 10, SUM_HIGH_DEG = 165; /* of the wedge's formula, where it is used */
 /* A blade that leans over further carries a wedge of dead soil, which cuts in its place (Hettiaratchi and
  * Reece 1975); the formula itself grows without bound. */
 static const double RAKE_HIGH_DEG = 90;
