@@ -58,7 +58,8 @@ static cli_option options[] = {
     {CLI_FLAG, "accept", 0, &accept, NULL, "end with status 0 even when the gate refuses", 0, 0, NULL},
     CLI_COMMON_OPTIONS(
         common,
-        "folder for the products: log.csv (a task: trajectory.csv, events.csv, recording.mcap), result.yaml, "
+        "folder for the products: log.csv (a task: trajectory.csv, events.csv, recording.mcap; on a ground "
+        "before.tif and after.tif), result.yaml, "
         "report.html, log.jsonl",
         "--identify: the search of a motion"),
 };
@@ -89,6 +90,16 @@ static cli_command command = {
         "once more with the suspension locked, to tell what of the tool's error is due to it. On a busy "
         "machine "
         "--live keeps its ticks with real-time priority (chrt -f 10 teledimos simulate …).\n\n"
+        "On a ground (ground: {map: site.tif}, or {site: scene} that is rendered and reconstructed first, "
+        "into "
+        "DIR/site and DIR/map, and kept) the machine stands on its tracks in a world of solid bodies, with "
+        "stones and with soil (soil: loam.yaml) that is dug: the task's drives, digs and dumps are done too. "
+        "A "
+        "trench is planned as passes on the map, each motion is checked against it before it runs, the edge "
+        "is raised where the soil asks for more than force_n or than the machine holds (0.4 of its weight), "
+        "and what still stands is cut again. "
+        "duration_s is then the longest. Besides: before.tif and after.tif; volumes, forces, clearance and "
+        "mass balance in the result.\n\n"
         "--identify estimates, from a log with columns as log.csv has them (positions and forces; rates and "
         "the "
         "base's pose where they are measured), the sums of masses, centres and inertias that the joints' "
@@ -99,6 +110,7 @@ static cli_command command = {
                 "  teledimos simulate datasets/zx200/paper.yaml -o paper\n"
                 "  teledimos simulate datasets/zx200/paper.yaml -o live --live\n"
                 "  teledimos simulate datasets/zx200/paper.yaml -o again --replay live/events.csv\n"
+                "  teledimos simulate datasets/zx200/dig.yaml -o dig\n"
                 "  teledimos simulate datasets/zx200-motion -o sweeps --sweep\n"
                 "  teledimos simulate datasets/zx200-motion -o identified --identify motion/log.csv\n",
     .option = options,
@@ -202,7 +214,8 @@ static td_status simulate_task(task_job *t, job *j)
                                   &j->progress, &j->error);
     live_end(&live);
     free(replayed.item);
-    if (status != TD_OK || s->options.base != TD_MACHINE_SUSPENDED || !t->run.simulated) return status;
+    if (status != TD_OK || s->map || s->options.base != TD_MACHINE_SUSPENDED || !t->run.simulated)
+        return status;
     t->has_locked = true;
     return task_run_session(&t->locked, s, TD_MACHINE_FIXED, &t->run.input, NULL, &j->progress, &j->error);
 }
@@ -214,6 +227,9 @@ static td_status run_task(simulate_job *s, job *j)
     memcpy(rows, task_gate_defaults, task_gate_count * sizeof *rows);
     for (size_t i = 0; i < gates.count; i++)
         TD_TRY(gate_set(rows, task_gate_count, gates.value[i], &j->error));
+    if (s->scenario.has_ground)
+        TD_TRY(station_ground_map(&s->scenario.map, &s->scenario.ground, common.output, common.threads,
+                                  &j->progress, &j->error));
     td_status status = simulate_task(&t, j);
     if (status == TD_ERROR_ARGUMENT) status = TD_ERROR_DATA;
     if (status == TD_ERROR_DATA && !replay_path) td_error_prefix(&j->error, status, "%s", s->scenario.path);

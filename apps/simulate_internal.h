@@ -4,6 +4,7 @@
 
 #include "apps/gate.h"
 #include "apps/job.h"
+#include "apps/station.h"
 #include "sim/excitation.h"
 #include "sim/machine.h"
 
@@ -28,6 +29,9 @@ typedef struct scenario {
     const char *compile_folder; /* for the robot's generated dynamics; NULL: evaluated, not compiled */
     double gain_1_s, period_s;  /* of the controller of positions; period 0: none, commands go straight in */
     struct task_setup *task;    /* in place of a motion; NULL: none */
+    bool has_ground;            /* the machine stands in the world, on: */
+    station_ground ground;
+    td_elevation *map; /* NULL: not made yet */
 } scenario;
 
 /* A row of the log. */

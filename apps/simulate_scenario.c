@@ -17,6 +17,7 @@
  *           {kind: sine, joints: {bucket: 0.3}, frequency_hz: 0.5}
  *           {kind: table, command: flow, file: commands.csv}    (time_s, boom_m3_s, swing_rad_s …)
  *   task: dig.yaml                                (in place of the motion; more in simulate_task_read.c)
+ *   ground: {map: site.tif, soil: loam.yaml}      (with a task: in the world, on a map; more in station.h)
  *   control: {gain_1_s: 3, period_s: 0.05}        (positions controlled around a motion of rates, or of a
  * task) machine: {base: suspended, coriolis: true, hydraulics: true, oil_n_m: 1e8, oil_s: 0.01, valve_s:
  * 0.05, pump_m3_s: 7.07e-3, suspension_damping: 1, friction: 1}   (the last two: factors) integrator:
@@ -39,6 +40,7 @@ void scenario_free(scenario *s)
     td_robot_free(&s->robot);
     motion_free(&s->motion);
     task_setup_free(&s->task);
+    td_elevation_free(&s->map);
 }
 
 static td_status real(double *value, const td_field *parent, const char *key, double low, double high,
@@ -178,11 +180,12 @@ static td_status read_all(scenario *s, const td_field *root, const char *folder,
         "teledimos",    "name",    "about",      "robot",   "start",      "motion", "log_s",
         "gravity_m_s2", "machine", "integrator", "control", "duration_s", NULL};
     static const char *const task_keys[] = {
-        "teledimos",  "name",     "about",          "robot",     "start",      "task",
-        "log_s",      "contact",  "gravity_m_s2",   "machine",   "integrator", "control",
-        "duration_s", "operator", "on_singularity", "generator", "live",       NULL};
+        "teledimos",      "name",         "about",   "robot",      "start",   "task",       "log_s",
+        "contact",        "gravity_m_s2", "machine", "integrator", "control", "duration_s", "operator",
+        "on_singularity", "generator",    "live",    "ground",     NULL};
     const td_field version = td_field_get(root, "teledimos"), name_field = td_field_get(root, "name"),
-                   motion_field = td_field_get(root, "motion"), task_field = td_field_get(root, "task");
+                   motion_field = td_field_get(root, "motion"), task_field = td_field_get(root, "task"),
+                   ground = td_field_get(root, "ground");
     const char *text = NULL;
     TD_TRY(td_field_string(&text, &version, error));
     if (strcmp(text, "scenario 1") != 0)
@@ -197,6 +200,10 @@ static td_status read_all(scenario *s, const td_field *root, const char *folder,
     TD_TRY(read_machine(s, root, error));
     TD_TRY(read_integrator(s, root, error));
     TD_TRY(read_times(s, root, error));
+    if (ground.value) {
+        s->has_ground = true;
+        TD_TRY(station_ground_read(&s->ground, &ground, folder, error));
+    }
     if (task_field.value) {
         TD_TRY(motion_none(&s->motion, s->robot, error));
         s->gain_1_s = 3, s->period_s = 0.05;

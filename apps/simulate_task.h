@@ -67,8 +67,25 @@ typedef struct task_sample {
     td_pose tool_wanted, tool; /* site_from_tool; wanted: with the base as it stood at the step's begin */
     double pitch_wanted_rad, pitch_rad; /* of the tool's axis below the level plane */
     double press_n;                     /* as the cylinders tell it, while pressing; else NaN */
-    double contact_n;                   /* of the plane on the tool */
+    double contact_n;        /* of the plane on the tool; on the ground: of the soil that the bucket cuts */
+    double load_kg, depth_m; /* on the ground: in the bucket; of its edge below the ground ahead */
+    bool loose;              /* the tool is not held to its path: in a cut, on a drive, when all is done */
 } task_sample;
+
+enum { TASK_MAX_GROUNDS = 24 };
+typedef struct task_ground {
+    double time_s;
+    td_elevation *map;
+} task_ground;
+
+/* On the ground: what came of a trench. */
+typedef struct task_dug {
+    int passes, stalls;
+    double planned_m3, left_m3; /* of the bank: as the first plan has it; above the floor after the last */
+    double clearance_m;         /* least of the motions checked, contact that is meant left out */
+    double raised_m;            /* the edge, at most, for the force's sake */
+    double peak_n, load_kg, mass_error_kg;
+} task_dug;
 
 typedef struct task_live {
     bool used;
@@ -91,6 +108,10 @@ typedef struct task_run {
     double steady[3]; /* actual less wanted place of the tool when the simulation ended, m, in the site */
     double joint_off; /* the same of the joint that is furthest off, rad or m */
     task_live live;
+    size_t ground_count;
+    task_ground ground[TASK_MAX_GROUNDS]; /* for the recording, near the machine */
+    td_elevation *after;                  /* the whole map at the end; NULL: no ground */
+    task_dug dug;
 } task_run;
 void task_run_free(task_run *run);
 
@@ -100,9 +121,10 @@ struct live;
 td_status task_run_session(task_run *run, const scenario *s, td_machine_base base, const task_inputs *inputs,
                            struct live *live, const td_progress *progress, td_error *error);
 
-/* One step's motion, from q. `base`: site_from_vehicle. *unreachable: the sentence in `error` is the
- * operator's concern, not a fault of the program. */
-td_status task_plan(td_trajectory **planned, bool *unreachable, const scenario *s, int step, const double *q,
+/* One motion, from q. `base`: site_from_vehicle. *unreachable: the sentence in `error` is the operator's
+ * concern, not a fault of the program. */
+td_status task_plan(td_trajectory **planned, bool *unreachable, const scenario *s,
+                    const td_task_position *position, td_task_frame frame, const double *q,
                     const td_pose *base, td_error *error);
 td_pose task_tool(const td_task *task); /* link_from_tool */
 double task_pitch(const td_pose *site_from_tool);
@@ -122,6 +144,13 @@ double task_steady(const task_run *run); /* m; NaN: the simulation did not end *
 json_t *task_result(const task_job *j);
 void task_table(const void *done);
 td_status task_report(const void *done, const char *path, td_error *error);
+
+/* On the ground: in the bank, of what the map knew before; fill as it lies. */
+void task_volumes(double *cut_m3, double *fill_m3, const task_job *j);
+/* before.tif, after.tif. */
+td_status task_write_ground(const task_run *run, const scenario *s, const char *folder, td_error *error);
+struct td_report;
+void task_report_ground(struct td_report *r, const task_job *j);
 
 /* What decides the motion: files and options; SHA-256. */
 td_status task_identity(char hex[TD_HASH_HEX_SIZE], const scenario *s, td_error *error);

@@ -52,6 +52,15 @@ static td_status add_all(td_hash *hash, const scenario *s, td_error *error)
     if (add_file(hash, yaml, NULL) != TD_OK) td_hash_add(hash, "none", 4);
     TD_TRY(td_task_hash(hex, s->task->task, error));
     td_hash_add(hash, hex, strlen(hex));
+    if (s->has_ground && s->ground.has_soil) TD_TRY(add_file(hash, s->ground.soil_path, error));
+    if (s->map) {
+        const td_elevation *m = s->map;
+        const double place[] = {m->columns, m->rows, m->cell_m, m->origin[0], m->origin[1]};
+        const size_t cells = (size_t)m->columns * (size_t)m->rows;
+        td_hash_add(hash, place, sizeof place);
+        td_hash_add(hash, m->height, cells * sizeof *m->height);
+        td_hash_add(hash, m->sigma, cells * sizeof *m->sigma);
+    }
     for (size_t i = 0; i < sizeof number / sizeof *number; i++) {
         char text[TD_NUMBER_SIZE];
         td_number_format(text, number[i], 0);
@@ -106,7 +115,7 @@ static void rows_of(FILE *f, const task_run *run, const scenario *s)
                 rate, name, simulate_is_motor(r, k) ? rate : "m3_s", name,
                 simulate_is_motor(r, k) && !slides ? "nm" : "n");
     }
-    fputc('\n', f);
+    fputs(s->map ? ",load_kg,depth_m\n" : "\n", f);
     for (size_t i = 0; i < run->count; i++) {
         const task_sample *a = run->sample + i;
         double rpy[3], off[3];
@@ -130,6 +139,7 @@ static void rows_of(FILE *f, const task_run *run, const scenario *s)
             put(f, a->command[k]);
             put(f, a->state.force[k]);
         }
+        if (s->map) put(f, a->load_kg), put(f, a->depth_m);
         fputc('\n', f);
     }
 }
@@ -160,7 +170,7 @@ static void events_of(FILE *f, const task_run *run, const scenario *s, const cha
 
 /* ---- recording.mcap ---- */
 
-enum { TF, JOINTS, WANTED, TOOL, TOOL_WANTED, MACHINE, LOG, CHANNELS };
+enum { TF, JOINTS, WANTED, TOOL, TOOL_WANTED, MACHINE, LOG, TERRAIN, CHANNELS };
 
 typedef struct recorder {
     td_mcap_writer *writer;
@@ -180,10 +190,10 @@ static td_status keep(recorder *r, int channel, td_status made, char *json, size
 static td_status begin_recording(recorder *r, const char *path, td_error *error)
 {
     static const char *const topic[CHANNELS] = {
-        "/tf", "/joints", "/joints/desired", "/tool", "/tool/desired", "/machine", "/log"};
+        "/tf", "/joints", "/joints/desired", "/tool", "/tool/desired", "/machine", "/log", "/terrain"};
     static const td_foxglove_kind kind[CHANNELS] = {
         TD_FOXGLOVE_TRANSFORMS, TD_FOXGLOVE_JOINTS, TD_FOXGLOVE_JOINTS, TD_FOXGLOVE_POSE,
-        TD_FOXGLOVE_POSE,       TD_FOXGLOVE_SCENE,  TD_FOXGLOVE_LOG};
+        TD_FOXGLOVE_POSE,       TD_FOXGLOVE_SCENE,  TD_FOXGLOVE_LOG,    TD_FOXGLOVE_GRID};
     static const char schema[] =
         "{\"type\":\"object\",\"title\":\"teledimos.Input\",\"properties\":{\"period\":{\"type\":\"integer\"}"
         ","
@@ -192,7 +202,7 @@ static td_status begin_recording(recorder *r, const char *path, td_error *error)
     const td_mcap_channel inputs = {INPUT_TOPIC,  "json", "teledimos.Input",
                                     "jsonschema", schema, sizeof schema - 1};
     TD_TRY(td_mcap_writer_new(&r->writer, path, NULL, error));
-    for (int i = 0; i < CHANNELS; i++) {
+    for (int i = 0; i < (r->s->map ? CHANNELS : TERRAIN); i++) {
         const td_mcap_channel about = td_foxglove_channel(kind[i], topic[i]);
         TD_TRY(td_mcap_channel_add(r->writer, &r->channel[i], &about, error));
     }
@@ -219,6 +229,16 @@ static td_status record_sample(recorder *r, const task_sample *a, td_error *erro
     TD_TRY(keep(r, TOOL, status, json, size, ns, error));
     status = td_foxglove_pose(&json, &size, &a->tool_wanted, SITE, ns, error);
     return keep(r, TOOL_WANTED, status, json, size, ns, error);
+}
+
+static td_status record_ground(recorder *r, const task_ground *g, td_error *error)
+{
+    char *json = NULL;
+    size_t size = 0;
+    uint64_t ns = 0;
+    td_mcap_time(&ns, g->time_s);
+    const td_status status = td_foxglove_grid(&json, &size, g->map, ns, error);
+    return keep(r, TERRAIN, status, json, size, ns, error);
 }
 
 static td_status record_input(recorder *r, long period, double time_s, const char *kind, const char *name,
@@ -254,15 +274,18 @@ static td_status record_all(recorder *r, const task_run *run, const char *identi
 {
     static const double yellow[4] = {0.93, 0.69, 0.13, 1};
     char *json = NULL;
-    size_t size = 0, next = 0;
+    size_t size = 0, next = 0, ground = 0;
     const td_status status = td_foxglove_machine(&json, &size, r->s->robot, yellow, 0, error);
     TD_TRY(keep(r, MACHINE, status, json, size, 0, error));
     TD_TRY(record_input(r, 0, 0, "scenario", identity, -1, 0, error));
     for (size_t i = 0; i < run->count; i++) {
         for (; next < run->note_count && run->note[next].time_s <= run->sample[i].time_s; next++)
             TD_TRY(record_note(r, run->note + next, error));
+        for (; ground < run->ground_count && run->ground[ground].time_s <= run->sample[i].time_s; ground++)
+            TD_TRY(record_ground(r, run->ground + ground, error));
         TD_TRY(record_sample(r, run->sample + i, error));
     }
+    for (; ground < run->ground_count; ground++) TD_TRY(record_ground(r, run->ground + ground, error));
     for (; next < run->note_count; next++) TD_TRY(record_note(r, run->note + next, error));
     return record_input(r, run->input.end, run->time_s, "end", "end", -1, 0, error);
 }
@@ -312,7 +335,7 @@ td_status task_write(const task_run *run, const scenario *s, const char *folder,
         free(path);
         TD_TRY(status);
     }
-    return TD_OK;
+    return task_write_ground(run, s, folder, error);
 }
 
 /* ---- reading inputs again ---- */

@@ -57,10 +57,10 @@ static double pitch_in(const td_pose *vehicle_from_site, const double in_vehicle
     return atan2(-x[2], x[0] * cos(there) + x[1] * sin(there));
 }
 
-static void via_of(td_via *via, const td_task *task, const td_task_point *p, const td_pose *link_from_tool,
-                   const td_pose *base)
+static void via_of(td_via *via, const td_task *task, td_task_frame frame, const td_task_point *p,
+                   const td_pose *link_from_tool, const td_pose *base)
 {
-    const bool in_site = task->frame == TD_TASK_SITE;
+    const bool in_site = frame == TD_TASK_SITE;
     const td_pose back = in_site ? td_pose_inverse(base) : td_pose_identity();
     *via = (td_via){.tolerance_m = task->tolerance.position_m,
                     .tolerance_rad = RADIANS * task->tolerance.angle_deg};
@@ -141,11 +141,10 @@ static td_trajectory_options options_of(const scenario *s, const td_task_positio
     return o;
 }
 
-td_status task_plan(td_trajectory **planned, bool *unreachable, const scenario *s, int step, const double *q,
-                    const td_pose *base, td_error *error)
+td_status task_plan(td_trajectory **planned, bool *unreachable, const scenario *s, const td_task_position *p,
+                    td_task_frame frame, const double *q, const td_pose *base, td_error *error)
 {
     const td_task *task = s->task->task;
-    const td_task_position *p = &task->step[step].as.position;
     const td_tool tool = tool_of(s->robot, task, p->to.attitude);
     const td_trajectory_options o = options_of(s, p);
     td_via via[TD_TASK_MAX_VIA + 1] = {0};
@@ -160,7 +159,7 @@ td_status task_plan(td_trajectory **planned, bool *unreachable, const scenario *
         status = td_trajectory_plan(planned, &nearest, s->robot, NULL, q, via, 1, &o, error);
     } else {
         for (int i = 0; i <= p->via_count; i++)
-            via_of(via + i, task, i < p->via_count ? p->via + i : &p->to, &tool.link_from_tool, base);
+            via_of(via + i, task, frame, i < p->via_count ? p->via + i : &p->to, &tool.link_from_tool, base);
         status = td_trajectory_plan(planned, &nearest, s->robot, &tool, q, via, (size_t)p->via_count + 1, &o,
                                     error);
     }

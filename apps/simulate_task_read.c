@@ -1,6 +1,7 @@
 /* What a scenario says of its task. All but `task` may be missing:
  *
  *   task: dig.yaml                                (a file beside it, or the task itself)
+ *   ground: {map: …, soil: …}                     (apps/station.h: then drive, dig and dump are done too)
  *   contact: {link: bucket_tip, point_m: [0, 0, 0], plane_m: [8, 0, 0], normal: [0, 0, 1],
  *             stiffness_n_m: 1e7, friction: 0.4}  (a plane of the site that a point of a link meets)
  *   generator: {alpha: -1, power: 6}              (of trajectories: the pull away from the joints' limits)
@@ -80,26 +81,52 @@ static td_status parse_inline(task_setup *t, const td_field *field, td_error *er
     return status;
 }
 
-/* What this machine cannot do. */
-static td_status check_kinds(const task_setup *t, td_error *error)
+static td_status check_attitudes(const task_setup *t, int step, td_error *error)
+{
+    const td_task_position *p = &t->task->step[step].as.position;
+    for (int k = 0; k < p->via_count; k++)
+        if (p->via[k].attitude != p->to.attitude)
+            return td_fail(error, TD_ERROR_DATA,
+                           "%s: steps[%d].position: via[%d] and the goal must say the attitude alike, "
+                           "as pitch_deg, as q, or not at all",
+                           t->path, step, k);
+    return TD_OK;
+}
+
+/* What only a machine on its ground does. */
+static td_status check_ground(const task_setup *t, const scenario *s, int step, td_error *error)
+{
+    const td_task_kind kind = t->task->step[step].kind;
+    const char *name = td_task_kind_name(kind);
+    bool dumped = kind != TD_TASK_DIG;
+    if (kind == TD_TASK_POSITION || kind == TD_TASK_WAIT || (kind == TD_TASK_PRESS && !s->has_ground))
+        return TD_OK;
+    if (!s->has_ground)
+        return td_fail(error, TD_ERROR_DATA,
+                       "%s: steps[%d]: without a ground the machine stands on its suspension and does not "
+                       "%s; give the scenario a ground",
+                       t->path, step, name);
+    if (kind == TD_TASK_DRIVE && s->options.base != TD_MACHINE_SUSPENDED)
+        return td_fail(error, TD_ERROR_DATA,
+                       "%s: steps[%d]: a machine whose base is not suspended cannot drive", t->path, step);
+    if (kind != TD_TASK_DRIVE && !s->ground.has_soil)
+        return td_fail(error, TD_ERROR_DATA,
+                       "%s: steps[%d]: there is nothing to %s in ground without soil; give ground: {soil: "
+                       "FILE}",
+                       t->path, step, name);
+    for (int i = step + 1; i < t->task->step_count && !dumped; i++)
+        dumped = t->task->step[i].kind == TD_TASK_DUMP;
+    if (!dumped)
+        return td_fail(error, TD_ERROR_DATA,
+                       "%s: steps[%d]: a dig needs a place for its soil: add a dump after it", t->path, step);
+    return TD_OK;
+}
+
+static td_status check_kinds(const task_setup *t, const scenario *s, td_error *error)
 {
     for (int i = 0; i < t->task->step_count; i++) {
-        const td_task_step *step = t->task->step + i;
-        if (step->kind == TD_TASK_POSITION) {
-            const td_task_position *p = &step->as.position;
-            for (int k = 0; k < p->via_count; k++)
-                if (p->via[k].attitude != p->to.attitude)
-                    return td_fail(
-                        error, TD_ERROR_DATA,
-                        "%s: steps[%d].position: via[%d] and the goal must say the attitude alike, "
-                        "as pitch_deg, as q, or not at all",
-                        t->path, i, k);
-        } else if (step->kind != TD_TASK_PRESS && step->kind != TD_TASK_WAIT) {
-            return td_fail(error, TD_ERROR_DATA,
-                           "%s: steps[%d]: the simulated machine stands on its suspension, it does not %s; "
-                           "simulate position, press and wait",
-                           t->path, i, td_task_kind_name(step->kind));
-        }
+        if (t->task->step[i].kind == TD_TASK_POSITION) TD_TRY(check_attitudes(t, i, error));
+        TD_TRY(check_ground(t, s, i, error));
     }
     return TD_OK;
 }
@@ -119,7 +146,7 @@ static td_status read_task(task_setup *t, const scenario *s, const td_field *fie
         free(path);
         TD_TRY(td_task_read(&t->task, t->path, error));
     }
-    TD_TRY(check_kinds(t, error));
+    TD_TRY(check_kinds(t, s, error));
     const td_status status = td_task_check(t->task, s->robot, &s->start.site_from_vehicle, error);
     return status == TD_OK ? status : td_error_prefix(error, TD_ERROR_DATA, "%s", t->path);
 }
@@ -132,6 +159,9 @@ static td_status read_contact(task_setup *t, const scenario *s, const td_field *
                                        "damping_s_m", "friction", "slip_m_s", NULL};
     const td_field field = td_field_get(root, "contact");
     if (!field.value) return TD_OK;
+    if (s->has_ground)
+        return td_field_fail(&field, error,
+                             "a plane to touch is not for a machine on its ground; leave it out");
     const td_field link = td_field_get(&field, "link"), point = td_field_get(&field, "point_m"),
                    plane = td_field_get(&field, "plane_m"), normal = td_field_get(&field, "normal");
     const char *name = NULL;

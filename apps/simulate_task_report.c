@@ -55,6 +55,11 @@ static double contact(const task_sample *a, int k)
     return 1e-3 * (k ? a->press_n : a->contact_n);
 }
 
+static double load(const task_sample *a, int k)
+{
+    return k ? a->depth_m : a->load_kg;
+}
+
 typedef struct line {
     const char *label;
     const task_run *run;
@@ -94,16 +99,19 @@ static void figures(td_report *r, const task_job *j)
     const task_run *run = &j->run;
     td_report_figures_begin(r);
     td_report_figure(r, "mm off at the end", TD_TONE_PLAIN, "%.2f", 1e3 * task_steady(run));
-    td_report_figure(r, "mm, suspension locked", TD_TONE_PLAIN, "%.4f",
-                     j->has_locked ? 1e3 * task_steady(&j->locked) : NAN);
+    if (!run->after)
+        td_report_figure(r, "mm, suspension locked", TD_TONE_PLAIN, "%.4f",
+                         j->has_locked ? 1e3 * task_steady(&j->locked) : NAN);
     td_report_figure(r, "steps done", TD_TONE_PLAIN, "%d / %d", run->steps_done,
                      j->scenario->task->task->step_count);
     td_report_figure(r, "times real time", TD_TONE_GOOD, "%.0f", run->time_s / run->cpu_s);
     td_report_figure(r, "deadlines missed", run->live.counts.misses ? TD_TONE_WARN : TD_TONE_PLAIN, "%llu",
                      (unsigned long long)run->live.counts.misses);
-    td_report_figure(r, "calls of the equations", TD_TONE_PLAIN, "%ld", run->counters.rates);
-    td_report_figure(r, "switches of method", TD_TONE_PLAIN, "%ld",
-                     run->counters.to_bdf + run->counters.to_adams);
+    if (!run->after) {
+        td_report_figure(r, "calls of the equations", TD_TONE_PLAIN, "%ld", run->counters.rates);
+        td_report_figure(r, "switches of method", TD_TONE_PLAIN, "%ld",
+                         run->counters.to_bdf + run->counters.to_adams);
+    }
     td_report_figures_end(r);
 }
 
@@ -172,6 +180,19 @@ static void press(td_report *r, const task_job *j)
     plot(r, "force on the tool", "force (kN)", lines, 2);
 }
 
+static void digging(td_report *r, const task_job *j)
+{
+    if (!j->run.after) return;
+    const line forces[] = {{"of the soil", &j->run, contact, 0, TD_TONE_PLAIN}},
+               loads[] = {{"in the bucket", &j->run, load, 0, TD_TONE_PLAIN}},
+               depths[] = {{"of the edge", &j->run, load, 1, TD_TONE_PLAIN}};
+    td_report_grid_begin(r, 3);
+    plot(r, "cutting force", "force (kN)", forces, 1);
+    plot(r, "load", "soil (kg)", loads, 1);
+    plot(r, "depth below the ground ahead", "depth (m)", depths, 1);
+    td_report_grid_end(r);
+}
+
 static void session(td_report *r, const task_job *j)
 {
     static const char *const heads[] = {"time (s)", "kind", "name", "text"};
@@ -235,6 +256,8 @@ td_status task_report(const void *done, const char *path, td_error *error)
     if (!r) return td_fail(error, TD_ERROR_MEMORY, "%s: no memory for the report", path);
     gate_report(r, &j->gate);
     figures(r, j);
+    task_report_ground(r, j);
+    digging(r, j);
     tool(r, j);
     joints(r, j);
     suspension(r, j);

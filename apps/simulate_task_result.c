@@ -12,6 +12,10 @@ const gate_row task_gate_defaults[] = {
      "distance of the tool from where it should be at the end, over the task's tolerance of position"},
     {"deviation_share", 1, INFINITY,
      "largest distance of the tool from where it should be on its way, over that tolerance; pressing apart"},
+    {"left_share", 0.05, 0.3,
+     "on the ground: what stands above the floors of the trenches at the end, of what was to be dug: where "
+     "it "
+     "is a third the trench is none"},
     {"deadline_misses", 0, INFINITY,
      "--live: missed deadlines; where one is to stop the session (on_miss: stop), that refuses by itself"},
 };
@@ -63,6 +67,20 @@ const td_schema_row task_schema[] = {
     {"live.slipped_s", TD_SCHEMA_REAL, true, false,
      "by which the session fell behind the wall's clock (slip)"},
     {"live.cpu_share", TD_SCHEMA_REAL, true, false, "computing time over the session's"},
+    {"dug_volume_m3", TD_SCHEMA_REAL, false, false,
+     "on the ground: what was taken, in the ground, of the cells that the map knew before"},
+    {"fill_m3", TD_SCHEMA_REAL, false, false, "by what such cells rose: dumped and spilt, as it lies"},
+    {"planned_m3", TD_SCHEMA_REAL, false, false, "of the trenches asked for, in the ground"},
+    {"left_m3", TD_SCHEMA_REAL, false, false, "of it above their floors at the end"},
+    {"passes", TD_SCHEMA_INT, false, false, "cuts made"},
+    {"stalls", TD_SCHEMA_INT, false, false, "cuts that stood still and were given up"},
+    {"raised_max_m", TD_SCHEMA_REAL, false, false, "by which the edge was raised, at most, to keep force_n"},
+    {"peak_force_n", TD_SCHEMA_REAL, false, false, "the largest force of the soil against a cut"},
+    {"load_kg", TD_SCHEMA_REAL, false, false, "of soil in the bucket at the end"},
+    {"mass_error_kg", TD_SCHEMA_REAL, false, false, "all soil at the end less all soil at first: 0"},
+    {"clearance_min_m", TD_SCHEMA_REAL, false, true,
+     "least distance from the ground of what moves, contact that is meant left out; null: nothing was "
+     "checked"},
     {"events", TD_SCHEMA_ARRAY, true, false, "orders, reports, messages, phases, faults and steps, in time"},
     {"events[].period", TD_SCHEMA_INT, true, false, "of the control, from 0"},
     {"events[].time_s", TD_SCHEMA_REAL, true, false, "when"},
@@ -90,7 +108,8 @@ static double deviation_max(const task_run *run)
     for (size_t i = 0; i < run->count; i++) {
         double off[3];
         for (int k = 0; k < 3; k++) off[k] = run->sample[i].tool.t[k] - run->sample[i].tool_wanted.t[k];
-        if (run->sample[i].phase == TD_PHASE_SIMULATING && isnan(run->sample[i].press_n))
+        if (run->sample[i].phase == TD_PHASE_SIMULATING && isnan(run->sample[i].press_n) &&
+            !run->sample[i].loose)
             most = fmax(most, length(off));
     }
     return most;
@@ -133,6 +152,12 @@ void task_judge(task_job *j, const gate_row *rows)
         "on its way the tool was up to %.0f mm from where it should be (tolerance %.0f mm): plan slower, "
         "by duration_s or limits",
         1e3 * deviation_max(run), 1e3 * tolerance);
+    const task_dug *d = &run->dug;
+    if (run->simulated && d->planned_m3 > 0)
+        gate_check(g, rows, task_gate_count, "left_share", d->left_m3 / d->planned_m3,
+                   "%.2f of %.2f m3 still stand above the floor of the trench: the soil is too hard for the "
+                   "force, or the way was blocked (events)",
+                   d->left_m3, d->planned_m3);
     gate_check(g, rows, task_gate_count, "deadline_misses", (double)run->live.counts.misses,
                "%llu of %llu deadlines were missed", (unsigned long long)run->live.counts.misses,
                (unsigned long long)run->live.counts.ticks);
@@ -194,6 +219,35 @@ static void set_errors(json_t *root, const task_job *j)
     set(root, "method_switches", json_integer(run->counters.to_bdf + run->counters.to_adams));
 }
 
+static void set_ground(json_t *root, const task_job *j)
+{
+    const task_dug *d = &j->run.dug;
+    double cut, fill;
+    task_volumes(&cut, &fill, j);
+    set(root, "dug_volume_m3", td_json_real(cut));
+    set(root, "fill_m3", td_json_real(fill));
+    set(root, "planned_m3", td_json_real(d->planned_m3));
+    set(root, "left_m3", td_json_real(d->left_m3));
+    set(root, "passes", json_integer(d->passes));
+    set(root, "stalls", json_integer(d->stalls));
+    set(root, "raised_max_m", td_json_real(d->raised_m));
+    set(root, "peak_force_n", td_json_real(d->peak_n));
+    set(root, "load_kg", td_json_real(d->load_kg));
+    set(root, "mass_error_kg", td_json_real(d->mass_error_kg));
+    set(root, "clearance_min_m", td_json_real(d->clearance_m));
+}
+
+static json_t *products_json(const task_job *j)
+{
+    json_t *o = json_pack("{s:s, s:s, s:s, s:s, s:s, s:s}", "result", "result.yaml", "report", "report.html",
+                          "trajectory", "trajectory.csv", "events", "events.csv", "recording",
+                          "recording.mcap", "log", "log.jsonl");
+    if (!j->run.after) return o;
+    set(o, "before", json_string("before.tif"));
+    set(o, "after", json_string("after.tif"));
+    return o;
+}
+
 json_t *task_result(const task_job *j)
 {
     const scenario *s = j->scenario;
@@ -220,11 +274,9 @@ json_t *task_result(const task_job *j)
     set(root, "control", json_pack("{s:f, s:f}", "period_s", s->period_s, "gain_1_s", s->gain_1_s));
     set_errors(root, j);
     if (run->live.used) set(root, "live", live_json(j));
+    if (run->after) set_ground(root, j);
     set(root, "events", events_json(run));
-    set(root, "products",
-        json_pack("{s:s, s:s, s:s, s:s, s:s, s:s}", "result", "result.yaml", "report", "report.html",
-                  "trajectory", "trajectory.csv", "events", "events.csv", "recording", "recording.mcap",
-                  "log", "log.jsonl"));
+    set(root, "products", products_json(j));
     return root;
 }
 
@@ -249,6 +301,14 @@ void task_table(const void *done)
     printf("\n%g s in %.1f ms, %.0f times real time: %ld calls of the equations, %ld switches of method\n",
            run->time_s, 1e3 * run->cpu_s, run->time_s / run->cpu_s, run->counters.rates,
            run->counters.to_bdf + run->counters.to_adams);
+    if (run->after) {
+        double cut, fill;
+        task_volumes(&cut, &fill, j);
+        printf("ground: %.3f m3 dug in %d passes, %.3f m3 of fill, %.3f m3 left; at most %.1f kN; clearance "
+               "%.2f m; mass off by %g kg\n",
+               cut, run->dug.passes, fill, run->dug.left_m3, 1e-3 * run->dug.peak_n, run->dug.clearance_m,
+               run->dug.mass_error_kg);
+    }
     if (run->live.used) {
         const td_clock_counts *c = &run->live.counts;
         printf("real time: %llu ticks, %llu missed (%s), late by %.3f ms (99 %%), %.3f ms (most); %.1f %% of "

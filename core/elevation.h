@@ -58,6 +58,8 @@ TD_API double td_elevation_at(const td_elevation *map, double x, double y, doubl
  * nodata value and NaN are unknown cells. Refused, naming it: rotated or sheared grids, cells that are not
  * square, coordinates in degrees or feet, sizes too large, damaged files. */
 TD_API td_status td_elevation_read(td_elevation **map, const char *path, td_error *error);
+/* How many cells a file has, without reading them. */
+TD_API td_status td_elevation_size(int *columns, int *rows, const char *path, td_error *error);
 TD_API td_status td_elevation_write(const td_elevation *map, const char *path, td_error *error);
 
 #ifdef __cplusplus

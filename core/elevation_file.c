@@ -204,17 +204,34 @@ static td_status read_open(td_elevation **map, reading *r, td_error *error)
     return status;
 }
 
-td_status td_elevation_read(td_elevation **map, const char *path, td_error *error)
+static td_status open_file(reading *r, const char *path, td_error *error)
 {
-    reading r = {.path = path};
     char reason[TD_RASTER_REASON_SIZE];
     int fd = -1;
-    *map = NULL;
+    *r = (reading){.path = path};
     TD_TRY(td_file_open(&fd, path, error));
     close(fd);
-    TD_TRY(td_raster_load(&r.module, path, error));
-    if (!r.module->open(&r.raster, &r.info, path, reason))
+    TD_TRY(td_raster_load(&r->module, path, error));
+    if (!r->module->open(&r->raster, &r->info, path, reason))
         return td_fail(error, TD_ERROR_FORMAT, "%s: is not a GeoTIFF that can be read: %s", path, reason);
+    return TD_OK;
+}
+
+td_status td_elevation_size(int *columns, int *rows, const char *path, td_error *error)
+{
+    reading r;
+    TD_TRY(open_file(&r, path, error));
+    *columns = r.info.columns;
+    *rows = r.info.rows;
+    r.module->close(r.raster);
+    return TD_OK;
+}
+
+td_status td_elevation_read(td_elevation **map, const char *path, td_error *error)
+{
+    reading r;
+    *map = NULL;
+    TD_TRY(open_file(&r, path, error));
     td_status status = read_open(map, &r, error);
     r.module->close(r.raster);
     return status;

@@ -2,8 +2,11 @@
 #include "sim/soil_internal.h"
 
 static const double DEGREE = 0.017453292519943295;
-static const double AHEAD_M = 0.5;                          /* over which the ground's slope is taken */
-static const double RAKE_LOW_DEG = 10, SUM_HIGH_DEG = 165;  /* of the wedge's formula, where it is used */
+static const double AHEAD_M = 0.5;                         /* over which the ground's slope is taken */
+static const double RAKE_LOW_DEG = 10, SUM_HIGH_DEG = 165; /* of the wedge's formula, where it is used */
+/* A blade that leans over further carries a wedge of dead soil, which cuts in its place (Hettiaratchi and
+ * Reece 1975); the formula itself grows without bound. */
+static const double RAKE_HIGH_DEG = 90;
 static const double SLOPE_DEG = 30, FAR_FROM_BETA_DEG = 80; /* slopes ahead are held within these */
 enum { SAMPLES = 7 };
 
@@ -66,7 +69,8 @@ static void add_cutting(td_soil *s, const soil_blade *blade, const soil_motion *
 {
     const td_soil_preset *p = &s->preset;
     const double friction = p->tool_friction_rad + p->friction_rad;
-    const double rake = fmin(fmax(motion->rake, RAKE_LOW_DEG * DEGREE), SUM_HIGH_DEG * DEGREE - friction);
+    const double high = fmin(RAKE_HIGH_DEG * DEGREE, SUM_HIGH_DEG * DEGREE - friction);
+    const double rake = fmin(fmax(motion->rake, RAKE_LOW_DEG * DEGREE), high);
     double beta, size, force[3];
     if (td_soil_failure_angle(&beta, p, rake, NULL) != TD_OK) return;
     const double steepest = fmin(SLOPE_DEG * DEGREE, FAR_FROM_BETA_DEG * DEGREE - beta);
