@@ -9,6 +9,7 @@
 
 #include <ode/ode.h>
 
+#include "sim/soil.h"
 #include "sim/world.h"
 #include "tests/bench/bench.h"
 
@@ -55,6 +56,71 @@ static bool ours(double *factor, double *drift, const td_robot *robot, const td_
             *drift = fmax(*drift, 1e3 * fabs(later.site_from_vehicle.t[c] - s.site_from_vehicle.t[c]));
     }
     td_world_free(&w);
+    return ok;
+}
+
+/* ---- ours, digging: soil at 50 Hz on cells of 5 cm, the bucket drawn through it ---- */
+
+typedef struct dig {
+    td_soil *soil;
+    int bucket;
+    size_t dug; /* steps in the soil */
+} dig;
+
+static double soil_height(void *user, double x, double y)
+{
+    return td_soil_height_at(((dig *)user)->soil, x, y);
+}
+
+static void feel(void *user, td_world *w)
+{
+    dig *d = user;
+    td_pose at[TD_ROBOT_MAX_LINKS];
+    td_soil_state felt;
+    td_world_links(at, w);
+    if (td_soil_step(d->soil, &at[d->bucket], STEP_S, NULL) != TD_OK) return;
+    td_soil_get(&felt, d->soil);
+    d->dug += felt.in_soil;
+    td_world_push(w, d->bucket, felt.force, at[d->bucket].t, NULL);
+}
+
+static bool digging(double *factor, double *share, const td_robot *robot, const char *source)
+{
+    enum { SIDE = 500 };
+    const double origin[2] = {-12.5, -12.5};
+    const td_soil_bucket bucket = td_soil_bucket_zx200();
+    td_elevation *map = NULL;
+    td_world *w = NULL;
+    td_soil_preset preset;
+    dig d = {.bucket = td_robot_find_link(robot, "bucket")};
+    td_world_options o = td_world_options_default(robot);
+    td_plant_state s = {.site_from_vehicle = td_pose_identity(), .q = {0, -0.42, 1.5, 0.9}};
+    double time[RUNS];
+    char path[4096];
+    td_error error = {0};
+    snprintf(path, sizeof path, "%s/datasets/soils/loam.yaml", source);
+    bool ok = td_soil_preset_read(&preset, path, &error) == TD_OK &&
+              td_elevation_new(&map, SIDE, SIDE, 0.05, origin, "site", &error) == TD_OK;
+    for (int i = 0; ok && i < SIDE * SIDE; i++) map->height[i] = 0, map->sigma[i] = 0.01f;
+    ok = ok && td_soil_new(&d.soil, map, &preset, &bucket, NULL, &error) == TD_OK;
+    o.height = soil_height;
+    o.height_user = &d;
+    o.before_step = feel;
+    o.before_step_user = &d;
+    ok = ok && td_world_new(&w, robot, map, &o, &error) == TD_OK && td_world_reset(w, &s, &error) == TD_OK &&
+         td_world_settle(w, &error) == TD_OK;
+    for (int i = 0; i < RUNS && ok; i++) {
+        const td_plant_command c = {TD_COMMAND_RATE, {0, i ? 0 : 0.05, i % 2 ? -0.1 : 0.2, 0}};
+        const double begun = spent();
+        ok = td_world_command(w, &c, &error) == TD_OK && td_world_step(w, MOVES_S, &error) == TD_OK;
+        time[i] = spent() - begun;
+    }
+    if (!ok) fprintf(stderr, "teledimos-bench: %s\n", error.message);
+    if (ok) *factor = MOVES_S / bench_median(time, RUNS);
+    *share = (double)d.dug / (RUNS * MOVES_S / STEP_S);
+    td_world_free(&w);
+    td_soil_free(&d.soil);
+    td_elevation_free(&map);
     return ok;
 }
 
@@ -214,6 +280,23 @@ void bench_world(const bench *b)
         map->height[i] = (float)(rise() * (origin[0] + CELL_M * (i % CELLS)));
     if (!ours(&row.ours, &row.error_ours, robot, map)) row.remark = "ours failed";
     theirs(&row.peer, &row.error_peer, robot, map);
+    bench_print(b, &row);
+    double share = 0;
+    char remark[80];
+    row = (bench_row){.name = "world step of 1 ms, digging",
+                      .unit = "1/s",
+                      .ours = NAN,
+                      .peer = NAN,
+                      .peer_name = "none",
+                      .error_ours = NAN,
+                      .error_peer = NAN,
+                      .runs = RUNS,
+                      .remark = "failed"};
+    if (digging(&row.ours, &share, robot, b->source)) {
+        snprintf(remark, sizeof remark,
+                 "soil at 50 Hz on cells of 5 cm, the bucket in it %.0f %% of the time", 100 * share);
+        row.remark = remark;
+    }
     bench_print(b, &row);
     td_elevation_free(&map);
     td_robot_free(&robot);
