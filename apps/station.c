@@ -236,25 +236,6 @@ td_status station_restart(station *s, double time_s, td_error *error)
     return begin(s, &again, error);
 }
 
-td_status station_replace_map(station *s, const td_elevation *map, td_error *error)
-{
-    td_elevation *copy = NULL;
-    TD_TRY(td_elevation_copy(&copy, map, error));
-    const double peak = s->peak_n;
-    const td_status status = make_soil(s, copy, error);
-    if (status != TD_OK) {
-        td_elevation_free(&copy);
-        return status;
-    }
-    td_clearance_map_free(&s->clearance);
-    td_elevation_free(&s->now);
-    td_elevation_free(&s->first);
-    s->first = copy;
-    s->peak_n = peak;
-    td_world_set_ground(s->world, copy);
-    return TD_OK;
-}
-
 /* ---- the plant ---- */
 
 static td_status plant_command(void *self, const td_plant_command *command, td_error *error)

@@ -60,9 +60,6 @@ void station_free(station **s);
 td_status station_restart(station *s, double time_s, td_error *error);
 /* The plant is lent: it lives as long as the station, and its free does nothing. */
 td_plant station_plant(station *s);
-/* Another map from now on, as after looking again: loose soil and what is in the air are as the map has them;
- * what the bucket holds is lost. */
-td_status station_replace_map(station *s, const td_elevation *map, td_error *error);
 
 td_status station_drive(station *s, double left_m_s, double right_m_s, td_error *error);
 double station_half_gauge(const station *s);
