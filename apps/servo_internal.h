@@ -48,7 +48,10 @@ typedef struct servo_points {
     double pixel[TD_SERVO_MAX_POINTS][2], sigma_px[TD_SERVO_MAX_POINTS];
     bool has_pose;
     td_pose camera_from_target;
-    double covariance[36]; /* of its left perturbation */
+    double covariance[36]; /* of its left perturbation, by the corners' sigma */
+    double variance_px2;   /* mean of the corners' sigma^2 */
+    double excess_px2;     /* mean of the residuals' squares, by degree of freedom, less that */
+    int freedoms;          /* degrees of freedom of the residuals */
 } servo_points;
 
 typedef struct servo_look {
@@ -98,6 +101,7 @@ typedef struct servo_run {
     double steady_px;    /* largest while it settled; NaN: it did not */
     double tip_error[3]; /* m, vehicle's axes: where the tip is at rest against where the board says */
     double sigma_tip[3]; /* m */
+    double bias_px;      /* sigma of what corners are off by, the same in each image */
     double sigmas;       /* of the error: sqrt(e' S^-1 e); NaN: no sigma */
     double clearance_m;  /* least of the tip over the ground */
     int limit_violations;

@@ -6,6 +6,10 @@
  * moves the camera and the bucket together, is a freedom as the others are. What the board's noise leaves in
  * the goal is part of the tip's sigma.
  *
+ * Corners are off by noise, new in each image, and by what their places in the image do to the detector,
+ * which is the same as long as nothing moves and does not average out. Its size is what the residuals of both
+ * targets have beyond the corners' own sigma; it enters the tip's sigma whole.
+ *
  * A command is given a period after its image was taken: seeing takes time. */
 #include <math.h>
 #include <stdio.h>
@@ -37,7 +41,9 @@ typedef struct runner {
     double rate[TD_ROBOT_MAX_JOINTS], last_rate[TD_ROBOT_MAX_JOINTS];
     size_t boards; /* seen */
     td_pose root_from_board;
-    double covariance[36]; /* of its left perturbation */
+    double covariance[36];       /* of its left perturbation */
+    double board_image[36];      /* the same by the noise of one image */
+    double excess_px2, freedoms; /* sums over the looks */
     double see_s;
     size_t looks;
 } runner;
@@ -65,6 +71,7 @@ static void average_board(runner *r)
     double ad[36], covariance[36], xi[6];
     td_pose_adjoint(ad, &camera);
     if (td_sandwich(covariance, ad, board->covariance, 6, 6, NULL) != TD_OK) return;
+    for (int i = 0; i < 36; i++) r->board_image[i] = covariance[i] / board->variance_px2;
     const double least = r->s->options.limits.period_s / MEMORY_S,
                  share = fmin(1, fmax(1.0 / (double)++r->boards, least));
     if (r->boards == 1) {
@@ -224,11 +231,20 @@ static bool is_hidden(const runner *r)
            r->state.time_s < s->hide_from_s + s->hide_for_s - 1e-9;
 }
 
+static void add_excess(runner *r, const servo_points *points)
+{
+    if (!points->has_pose) return;
+    r->excess_px2 += points->freedoms * points->excess_px2;
+    r->freedoms += points->freedoms;
+}
+
 static td_status look_now(runner *r, td_error *error)
 {
     TD_TRY(r->plant.state(r->plant.self, &r->state, error));
     TD_TRY(servo_view_look(&r->look, r->view, &r->state, r->frame++, is_hidden(r), error));
     average_board(r);
+    add_excess(r, &r->look.bucket);
+    add_excess(r, &r->look.board);
     r->see_s += r->look.seconds;
     r->looks++;
     return TD_OK;
@@ -308,27 +324,37 @@ static td_status first_looks(bool *seen, runner *r, td_error *error)
     return TD_OK;
 }
 
-/* Sigma of the tip: what the loop leaves of the bucket's noise, and what the board's left in the goal. */
+/* Covariance (3,3) of the tip's error: what the loop leaves of the bucket's noise, what the board's left in
+ * the goal, and both targets' bias, whole. */
+static bool tip_covariance(double covariance[9], const runner *r, double bias_px)
+{
+    td_servo_sigma sigma;
+    const double origin[3] = {0};
+    double wanted[3], by_board[18], of_board[36];
+    const td_servo_sight sight = sight_of_bucket(&r->look.bucket);
+    wanted_tip(wanted, r, &r->root_from_board);
+    td_pose_transform_jacobian(by_board, wanted);
+    for (int i = 0; i < 36; i++) of_board[i] = r->covariance[i] + bias_px * bias_px * r->board_image[i];
+    if (td_visual_servo_sigma(&sigma, &r->servo, r->state.q, &sight, r->s->tool, origin, NULL, NULL) !=
+            TD_OK ||
+        td_sandwich(covariance, by_board, of_board, 3, 6, NULL) != TD_OK)
+        return false;
+    const double whole = bias_px * bias_px / r->look.bucket.variance_px2;
+    for (int i = 0; i < 9; i++) covariance[i] += sigma.loop[i] + whole * sigma.image[i];
+    return true;
+}
+
 static void judge_tip(runner *r)
 {
     servo_run *run = r->run;
-    td_servo_sigma sigma;
-    const double origin[3] = {0};
-    double wanted[3], by_board[18], of_board[9], inverse[9], along[3];
-    const td_servo_sight sight = sight_of_bucket(&r->look.bucket);
+    double covariance[9], inverse[9], along[3];
     tip_error(run->tip_error, r);
     run->sigmas = NAN;
     for (int i = 0; i < 3; i++) run->sigma_tip[i] = NAN;
-    if (!servo_met(run) || !r->look.bucket.has_pose) return;
-    wanted_tip(wanted, r, &r->root_from_board);
-    td_pose_transform_jacobian(by_board, wanted);
-    if (td_visual_servo_sigma(&sigma, &r->servo, r->state.q, &sight, r->s->tool, origin, NULL, NULL) !=
-            TD_OK ||
-        td_sandwich(of_board, by_board, r->covariance, 3, 6, NULL) != TD_OK)
-        return;
-    for (int i = 0; i < 9; i++) of_board[i] += sigma.loop[i];
-    for (int i = 0; i < 3; i++) run->sigma_tip[i] = sqrt(of_board[4 * i]);
-    if (td_invert_spd(inverse, of_board, 3, NULL) != TD_OK) return;
+    run->bias_px = r->freedoms > 0 ? sqrt(fmax(0, r->excess_px2 / r->freedoms)) : NAN;
+    if (!servo_met(run) || !r->look.bucket.has_pose || !tip_covariance(covariance, r, run->bias_px)) return;
+    for (int i = 0; i < 3; i++) run->sigma_tip[i] = sqrt(covariance[4 * i]);
+    if (td_invert_spd(inverse, covariance, 3, NULL) != TD_OK) return;
     td_multiply(along, inverse, run->tip_error, 3, 3, 1);
     run->sigmas =
         sqrt(along[0] * run->tip_error[0] + along[1] * run->tip_error[1] + along[2] * run->tip_error[2]);

@@ -198,6 +198,26 @@ static double refine(td_pose *pose, double covariance[36], const servo_points *p
     return td_invert_spd(covariance, a, 6, NULL) == TD_OK ? cost : INFINITY;
 }
 
+/* What the residuals have beyond the corners' sigma: what detector and image are off by. */
+static void measure_excess(servo_points *points, const td_camera *camera)
+{
+    double square = 0;
+    int n = 0;
+    points->variance_px2 = 0;
+    for (int i = 0; i < points->count; i++) {
+        double at[3], pixel[2];
+        if (!points->seen[i]) continue;
+        td_pose_transform(at, &points->camera_from_target, points->at[i]);
+        if (!td_camera_project(pixel, NULL, NULL, camera, at)) continue;
+        square += pow(points->pixel[i][0] - pixel[0], 2) + pow(points->pixel[i][1] - pixel[1], 2);
+        points->variance_px2 += points->sigma_px[i] * points->sigma_px[i];
+        n++;
+    }
+    points->freedoms = 2 * n - 6;
+    points->variance_px2 /= n;
+    points->excess_px2 = square / points->freedoms - points->variance_px2;
+}
+
 bool servo_pose(servo_points *points, const servo_target *target, const td_camera *camera)
 {
     double best = INFINITY;
@@ -218,7 +238,9 @@ bool servo_pose(servo_points *points, const servo_target *target, const td_camer
         points->camera_from_target = pose;
         memcpy(points->covariance, covariance, sizeof covariance);
     }
-    return points->has_pose = isfinite(best);
+    points->has_pose = isfinite(best);
+    if (points->has_pose) measure_excess(points, camera);
+    return points->has_pose;
 }
 
 static void take(servo_points *points, const servo_target *target, const td_tag *tag, size_t count)
