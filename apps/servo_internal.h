@@ -78,6 +78,10 @@ int servo_corners(double (*at)[3], const servo_target *target);
 /* Pose by least squares over the camera's model, from the seen points; false: they give none. */
 bool servo_pose(servo_points *points, const servo_target *target, const td_camera *camera);
 
+/* From q on: joints that bring the bucket's target and the tool nearest to the goal, and how far they are
+ * from it then, root mean square, m. */
+double servo_reach(double *q, const servo_scenario *s, const td_pose *root_from_goal);
+
 /* ---- one run ---- */
 
 typedef struct servo_sample {

@@ -23,6 +23,7 @@
 #include "core/number.h"
 
 static const double MEMORY_S = 2, REST_S = 1.5;
+static const double OUT_OF_REACH_M = 0.1; /* beyond what a machine that stands askew leaves */
 enum { FIRST_LOOKS = 5 };
 
 typedef struct runner {
@@ -378,6 +379,22 @@ static td_status give_up(runner *r, const char *why)
     return TD_OK;
 }
 
+/* Before anything moves. */
+static bool can_reach(runner *r)
+{
+    double q[TD_ROBOT_MAX_JOINTS];
+    const td_pose goal = td_pose_compose(&r->root_from_board, &r->s->board_from_bucket);
+    memcpy(q, r->state.q, sizeof q);
+    const double left = servo_reach(q, r->s, &goal);
+    if (left <= OUT_OF_REACH_M) return true;
+    r->run->phase = TD_SERVO_UNREACHABLE;
+    snprintf(r->run->reason, sizeof r->run->reason,
+             "out of reach: the bucket would come no nearer than %.2f m; it was not moved. Set the goal "
+             "nearer, or drive nearer to it",
+             left);
+    return false;
+}
+
 static td_status all_the_way(runner *r, const td_progress *progress, td_error *error)
 {
     const td_visual_servo_options *o = &r->s->options;
@@ -385,6 +402,7 @@ static td_status all_the_way(runner *r, const td_progress *progress, td_error *e
     bool seen = false;
     TD_TRY(first_looks(&seen, r, error));
     if (!seen) return TD_OK;
+    if (!can_reach(r)) return TD_OK;
     while (!r->begun || r->servo.phase <= TD_SERVO_HOLDING) {
         td_error why = {0};
         const td_status status = period(r, &why);
