@@ -32,6 +32,7 @@ typedef struct servo_scenario {
     td_pose board_from_bucket; /* the goal, of the bucket's target */
     double q[TD_ROBOT_MAX_JOINTS];
     double low[TD_ROBOT_MAX_JOINTS], high[TD_ROBOT_MAX_JOINTS]; /* of starts that are drawn */
+    double spread; /* rad or m: with each, of each joint where the goal is met; the board goes with it */
     td_visual_servo_options options;
     double hide_from_s, hide_for_s;
 } servo_scenario;

@@ -19,7 +19,9 @@
  *   control: {period_s: 0.1, speed_share: 0.6, gain_zero_1_s: 1.5, gain_infinity_1_s: 0.4, gain_slope: 5,
  *             tolerance_px: 0.3, settle_s: 2, loss_s: 5, stall_s: 5, limit_s: 60}
  *   hide: {from_s: 3, for_s: 1}            (nothing is seen for so long)
- *   starts: {boom: [-0.7, -0.4]}           (ranges that --starts draws from; missing: the start) */
+ *   starts: {boom: [-0.7, -0.4]}           (ranges that --starts draws from; missing: the start)
+ *   spread_rad: 0.05                       (--starts: by which each joint is other where the goal is met: the
+ *                                          board stands elsewhere each time) */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -184,6 +186,7 @@ static td_status read_starts(servo_scenario *s, const td_field *root, td_error *
     TD_TRY(read_joints(s->q, NULL, s, &start, error));
     memcpy(s->low, s->q, sizeof s->low);
     memcpy(s->high, s->q, sizeof s->high);
+    TD_TRY(real(&s->spread, root, "spread_rad", 0, 1, error));
     return read_joints(s->low, s->high, s, &starts, error);
 }
 
@@ -232,8 +235,9 @@ static td_status read_hide(servo_scenario *s, const td_field *root, td_error *er
 
 static td_status read_all(servo_scenario *s, const td_field *root, const char *folder, td_error *error)
 {
-    static const char *const keys[] = {"teledimos", "name", "about", "scene",   "camera", "start", "tags",
-                                       "goal",      "tool", "hide",  "control", "starts", NULL};
+    static const char *const keys[] = {"teledimos", "name",   "about",      "scene", "camera",
+                                       "start",     "tags",   "goal",       "tool",  "hide",
+                                       "control",   "starts", "spread_rad", NULL};
     const td_field version = td_field_get(root, "teledimos"), name = td_field_get(root, "name");
     const char *text = NULL;
     TD_TRY(td_field_string(&text, &version, error));

@@ -68,17 +68,46 @@ static bool fits(const servo_scenario *s, const double *q)
            in_view(s, &s->bucket, &bucket) && in_view(s, &s->board, &board);
 }
 
-static td_status draw(double *q, const servo_scenario *s, td_random *random, td_error *error)
+/* Where the board is to stand so that the goal is met with joints q. */
+static void place_board(servo_scenario *s, const double *q)
 {
+    const td_scene *scene = &s->scene->scene;
+    td_pose at[TD_ROBOT_MAX_LINKS];
+    td_robot_forward(at, scene->robot, q);
+    const td_pose bucket = td_pose_compose(at + s->bucket.link, &s->bucket.link_from_target),
+                  bucket_from_board = td_pose_inverse(&s->board_from_bucket),
+                  board = td_pose_compose(&bucket, &bucket_from_board);
+    s->board.link_from_target = td_pose_compose(&scene->site_from_vehicle, &board);
+}
+
+/* The joints at the goal as the scenario has it. */
+static void joints_at_goal(double *q, const servo_scenario *s)
+{
+    const td_pose root_from_site = td_pose_inverse(&s->scene->scene.site_from_vehicle),
+                  board = td_pose_compose(&root_from_site, &s->board.link_from_target),
+                  goal = td_pose_compose(&board, &s->board_from_bucket);
+    memcpy(q, s->q, sizeof s->q);
+    servo_reach(q, s, &goal);
+}
+
+static td_status draw(double *q, servo_scenario *s, td_random *random, td_error *error)
+{
+    const td_robot *robot = s->scene->scene.robot;
+    double met[TD_ROBOT_MAX_JOINTS], goal[TD_ROBOT_MAX_JOINTS];
+    joints_at_goal(met, s);
+    memcpy(goal, met, sizeof goal);
+    memcpy(q, s->q, sizeof s->q);
     for (int i = 0; i < MOST_DRAWS; i++) {
-        memcpy(q, s->q, sizeof s->q);
-        for (int k = 0; k < s->scene->scene.robot->joint_count; k++)
+        for (int k = 0; k < robot->joint_count; k++) {
             q[k] = s->low[k] + (s->high[k] - s->low[k]) * td_random_uniform(random);
-        if (fits(s, q)) return TD_OK;
+            goal[k] = met[k] + s->spread * (2 * td_random_uniform(random) - 1);
+        }
+        if (s->spread > 0) place_board(s, goal);
+        if (td_robot_within_limits(robot, goal, NULL) && fits(s, q) && fits(s, goal)) return TD_OK;
     }
     return td_fail(error, TD_ERROR_DATA,
-                   "%s: starts: of %d draws none has the bucket's tags and the board in view, and the tip "
-                   "%.1f m above the ground; change the ranges",
+                   "%s: starts: of %d draws none has the bucket's tags and the board in view at the start "
+                   "and at the goal, and the tip %.1f m above the ground; change the ranges",
                    s->path, MOST_DRAWS, CLEAR_M);
 }
 
@@ -88,9 +117,10 @@ static void do_unit(size_t index, void *user)
     unit *u = c->unit + index;
     td_random random = td_random_seed(c->seed, index + 1);
     double q[TD_ROBOT_MAX_JOINTS];
+    servo_scenario own = *c->s; /* lends its scene */
     const uint64_t noise = ((uint64_t)td_random_u32(&random) << 32) + index;
-    u->status = draw(q, c->s, &random, &u->error);
-    if (u->status == TD_OK) u->status = servo_run_one(&u->run, c->s, q, noise, 1, NULL, &u->error);
+    u->status = draw(q, &own, &random, &u->error);
+    if (u->status == TD_OK) u->status = servo_run_one(&u->run, &own, q, noise, 1, NULL, &u->error);
     td_image_free(&u->run.image);
 }
 
