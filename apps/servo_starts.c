@@ -8,7 +8,7 @@
 #include "core/random.h"
 
 enum { MOST_DRAWS = 200, MOST_TRIES = 20 };
-static const double EDGE_PX = 15, CLEAR_M = 0.3, FACING = 0.6;
+static const double EDGE_PX = 15, CLEAR_M = 0.3, FACING = 0.7;
 
 typedef struct unit {
     servo_run run;
