@@ -318,9 +318,9 @@ static td_status first_looks(bool *seen, runner *r, td_error *error)
     *seen = bucket && r->boards > 0;
     if (*seen) return TD_OK;
     r->run->phase = TD_SERVO_LOST;
-    snprintf(r->run->reason, sizeof r->run->reason, "%s not in sight at the start",
-             bucket          ? "the board is"
-             : r->boards > 0 ? "the bucket's tag is"
+    snprintf(r->run->reason, sizeof r->run->reason, "%s in sight at the start",
+             bucket          ? "the board is not"
+             : r->boards > 0 ? "the bucket's tag is not"
                              : "neither the bucket's tag nor the board is");
     return TD_OK;
 }

@@ -166,7 +166,7 @@ def test_refused(folder):
         s["goal"]["t_m"][2] = 2.5
     r = refuses(folder, "far", far, ("out of reach", "was not moved"))
     check(r.get("outcome") == "unreachable" and r.get("iterations") == 0, f"far: {r.get('outcome')}")
-    refuses(folder, "away", lambda s: s.update(start={"swing": 1.5}), ("board", "not in sight"))
+    refuses(folder, "away", lambda s: s.update(start={"swing": 1.5}), ("board", "in sight at the start"))
 
 
 def test_input(folder):
