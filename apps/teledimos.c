@@ -22,6 +22,7 @@ static const struct {
     {"rectify", "turn stereo pairs so that rows match rows"},
     {"render", "draw what a rig's cameras see of a scene"},
     {"simulate", "a machine moved by given commands, or doing a task: motion, forces, sag"},
+    {"servo", "bring the bucket where tags say, by what a camera shows"},
     {"convert", "turn a rig into the files of another tool, or those into a rig"},
     {"target", "print a calibration target at true scale"},
 };

@@ -263,6 +263,22 @@ td_status td_visual_servo_start(td_visual_servo *servo, const td_servo_eye *eye,
                    "visual servo: the ViSP module cannot be loaded (%s); take our own law", why ? why : "?");
 }
 
+td_status td_visual_servo_retarget(td_visual_servo *servo, const td_servo_sight *goal,
+                                   const td_pose *link_from_camera, td_error *error)
+{
+    td_visual_servo then = *servo;
+    if (goal->kind != servo->goal.kind || goal->count != servo->goal.count)
+        return td_fail(error, TD_ERROR_ARGUMENT,
+                       "visual servo: the new goal has other features than the first (%d points instead of "
+                       "%d)",
+                       goal->count, servo->goal.count);
+    then.goal = *goal;
+    then.eye.link_from_camera = *link_from_camera;
+    TD_TRY(check_goal(&then, error));
+    *servo = then;
+    return TD_OK;
+}
+
 void td_visual_servo_end(td_visual_servo *servo)
 {
     if (servo->module) dlclose(servo->module);

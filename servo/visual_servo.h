@@ -159,6 +159,12 @@ typedef struct td_visual_servo {
 TD_API td_status td_visual_servo_start(td_visual_servo *servo, const td_servo_eye *eye,
                                        const td_servo_sight *goal, const td_visual_servo_options *options,
                                        td_error *error);
+/* Another goal of the same features from now on, and where the camera is: for a goal that is seen itself, and
+ * moves in the image, and a camera whose own link turns. Let camera_link then be 0 and link_from_camera where
+ * the camera stands now: e falls as by the joints' whole motion against the site, for the goal goes with it.
+ * Fails as td_visual_servo_start, and changes nothing then. */
+TD_API td_status td_visual_servo_retarget(td_visual_servo *servo, const td_servo_sight *goal,
+                                          const td_pose *link_from_camera, td_error *error);
 /* Gives back what ViSP's law has loaded. */
 TD_API void td_visual_servo_end(td_visual_servo *servo);
 

@@ -98,6 +98,11 @@ static td_status build(td_world *w, const td_robot *robot, td_error *error)
     w->ode = dWorldCreate();
     if (!w->ode)
         return td_fail(error, TD_ERROR_MEMORY, "no memory for the world of machine '%s'", robot->name);
+    w->threading = dThreadingAllocateSelfThreadedImplementation();
+    if (!w->threading)
+        return td_fail(error, TD_ERROR_MEMORY, "no memory for the world of machine '%s'", robot->name);
+    dWorldSetStepThreadingImplementation(w->ode, dThreadingImplementationGetFunctions(w->threading),
+                                         w->threading);
     dWorldSetGravity(w->ode, g[0], g[1], g[2]);
     dWorldSetCFM(w->ode, CFM);
     dWorldSetAutoDisableFlag(w->ode, 0);
@@ -133,6 +138,7 @@ void td_world_free(td_world **world)
     if (!world || !*world) return;
     td_world_free_stones(*world);
     if ((*world)->ode) dWorldDestroy((*world)->ode);
+    if ((*world)->threading) dThreadingFreeImplementation((*world)->threading);
     td_machine_free(&(*world)->machine);
     free(*world);
     *world = NULL;

@@ -41,6 +41,7 @@ struct td_world {
     td_machine *machine; /* its hydraulics, joints and checks; no state of it is used */
     const td_elevation *ground;
     dWorldID ode;
+    dThreadingImplementationID threading; /* ODE's own is one for all worlds, which may not step at once */
     dJointGroupID contacts;
     dSpaceID machine_space, stone_space; /* made with the first stone */
 
