@@ -1,8 +1,10 @@
 #include "apps/look.h"
 
+#include <math.h>
 #include <stdlib.h>
 
 #include "apps/terminal.h"
+#include "recon/epipolar_gate.h"
 
 struct look {
     const td_scene *scene;
@@ -12,7 +14,7 @@ struct look {
     td_stereo_view *view;
     td_depth_camera *depth;
     td_fusion *fusion;
-    td_image *left;
+    td_image *raw[2], *left; /* of the last pair */
 };
 
 look_options look_options_default(void)
@@ -31,6 +33,7 @@ void look_free(look **l)
     td_stereo_view_free(&(*l)->view);
     td_depth_camera_free(&(*l)->depth);
     td_fusion_free(&(*l)->fusion);
+    for (int side = 0; side < 2; side++) td_image_free(&(*l)->raw[side]);
     td_image_free(&(*l)->left);
     free(*l);
     *l = NULL;
@@ -85,7 +88,15 @@ static td_pose vehicle_from_rig(const look *l, const td_rig *rig, const double *
     return td_pose_compose(&root_from_link[l->mount], &rig->vehicle_from_rig);
 }
 
-static td_status render(td_image *raw[2], look_result *result, look *l, uint64_t frame, td_error *error)
+static double mean_grey(const td_image *image)
+{
+    const size_t pixels = (size_t)image->width * (size_t)image->height;
+    double sum = 0;
+    for (size_t i = 0; i < pixels; i++) sum += image->data[i];
+    return sum / (double)pixels;
+}
+
+static td_status render(look_result *result, look *l, uint64_t frame, td_error *error)
 {
     const td_pose from_rig = vehicle_from_rig(l, l->truth, l->scene->q);
     const td_pose site_from_rig = td_pose_compose(&l->scene->site_from_vehicle, &from_rig);
@@ -94,17 +105,17 @@ static td_status render(td_image *raw[2], look_result *result, look *l, uint64_t
         td_view *seen = NULL;
         TD_TRY(td_stereo_view_render(&seen, l->view, l->truth, l->options.camera[side], &site_from_rig, frame,
                                      &l->options.view, error));
-        raw[side] = seen->image;
+        td_image_free(&l->raw[side]);
+        l->raw[side] = seen->image;
+        result->grey[side] = mean_grey(seen->image);
         seen->image = NULL;
         td_view_free(&seen);
     }
-    const size_t pixels = (size_t)raw[0]->width * (size_t)raw[0]->height;
-    for (size_t i = 0; i < pixels; i++) result->grey += raw[0]->data[i] / (double)pixels;
     return TD_OK;
 }
 
-static td_status fuse(look_result *result, look *l, td_image *const raw[2], const td_pose *site_from_vehicle,
-                      const double *q, const double *pose_covariance, double time_s, td_error *error)
+static td_status fuse(look_result *result, look *l, const td_pose *site_from_vehicle, const double *q,
+                      const double *pose_covariance, double time_s, td_error *error)
 {
     td_disparity *disparity = NULL;
     const look_body body = {.robot = l->scene->robot,
@@ -116,7 +127,7 @@ static td_status fuse(look_result *result, look *l, td_image *const raw[2], cons
     td_image_free(&l->left);
     const double began = terminal_now_s();
     td_status status =
-        look_match(&l->left, &disparity, &result->shares, l->depth, raw, &l->options.dense, &body, error);
+        look_match(&l->left, &disparity, &result->shares, l->depth, l->raw, &l->options.dense, &body, error);
     result->match_s = terminal_now_s() - began;
     const td_fusion_frame seen = {.camera = l->depth,
                                   .disparity = disparity,
@@ -132,15 +143,49 @@ static td_status fuse(look_result *result, look *l, td_image *const raw[2], cons
 td_status look_now(look_result *result, look *l, const td_pose *site_from_vehicle, const double *q,
                    const double *pose_covariance, uint64_t frame, double time_s, td_error *error)
 {
-    td_image *raw[2] = {NULL, NULL};
     *result = (look_result){0};
     const double began = terminal_now_s();
-    td_status status = render(raw, result, l, frame, error);
+    td_status status = render(result, l, frame, error);
     result->render_s = terminal_now_s() - began;
-    if (status == TD_OK) status = fuse(result, l, raw, site_from_vehicle, q, pose_covariance, time_s, error);
-    td_image_free(&raw[0]);
-    td_image_free(&raw[1]);
+    if (status == TD_OK) status = fuse(result, l, site_from_vehicle, q, pose_covariance, time_s, error);
     return status;
+}
+
+static const double BAND_PX = 8; /* wide enough for a rig that is not rightly believed */
+
+td_status look_epipolar(double *rms_px, double *sigma_px, const look *l, td_error *error)
+{
+    td_match_options o = td_match_options_default();
+    td_match *match = NULL;
+    td_match_tally tally;
+    td_epipolar_gate gate = {0};
+    td_pair pair;
+    size_t count = 0, known = 0;
+    o.near_m = l->options.near_m;
+    o.far_m = l->options.far_m;
+    o.band_px = BAND_PX;
+    o.interest.count = 400;
+    o.threads = l->options.dense.threads;
+    *rms_px = *sigma_px = NAN;
+    if (!l->raw[0]) return td_fail(error, TD_ERROR_ARGUMENT, "no pair of images yet");
+    TD_TRY(td_pair_init(&pair, l->believed, l->options.camera[0], l->options.camera[1], error));
+    td_status status = td_match_automatic(&match, &count, &tally, &pair, l->raw[0], l->raw[1], &o, error);
+    if (status == TD_OK) status = td_epipolar_gate_check(&gate, &pair, match, count, error);
+    double square = 0;
+    for (size_t i = 0; status == TD_OK && i < count; i++) {
+        const double sigma = td_pair_residual_sigma(&pair, match[i].left, match[i].right);
+        if (isfinite(sigma)) square += sigma * sigma, known++;
+    }
+    free(match);
+    TD_TRY(status);
+    *rms_px = gate.rms_px;
+    if (known) *sigma_px = sqrt(square / (double)known);
+    return TD_OK;
+}
+
+td_view_options *look_view(look *l)
+{
+    return &l->options.view;
 }
 
 td_status look_map(td_elevation **map, const look *l, td_error *error)

@@ -21,7 +21,7 @@ look_options look_options_default(void);
 typedef struct look_result {
     look_shares shares;
     td_fusion_tally tally;
-    double grey; /* mean of the left image: a camera that went dark shows it */
+    double grey[2]; /* means of the images: a camera that went dark shows it */
     double render_s, match_s, fuse_s;
 } look_result;
 
@@ -38,6 +38,12 @@ td_status look_now(look_result *result, look *l, const td_pose *site_from_vehicl
                    const double *pose_covariance, uint64_t frame, double time_s, td_error *error);
 /* The map so far. */
 td_status look_map(td_elevation **map, const look *l, td_error *error);
+/* How far robust matches of the last pair lie off their epipolar curves, px (recon/epipolar_gate.h), and what
+ * the believed rig's covariance allows (standard deviation; NaN: it has none): a rig that is not believed
+ * rightly shows it. Refused: no pair yet; too few matches. */
+td_status look_epipolar(double *rms_px, double *sigma_px, const look *l, td_error *error);
+/* How images are formed from the next pair on; lent, may be changed. */
+td_view_options *look_view(look *l);
 /* The last pair's rectified left image; lent until the next. NULL: none yet. */
 const td_image *look_left(const look *l);
 /* For what stands before the first look. */
