@@ -40,6 +40,16 @@ static double cut_between(const td_elevation *before, const td_elevation *after,
     return sum * before->cell_m * before->cell_m;
 }
 
+static double filled_area(const td_elevation *m, const td_dig_floor *floor)
+{
+    size_t count = 0;
+    for (int row = 0; row < m->rows; row++)
+        for (int c = 0; c < m->columns; c++)
+            count += m->provenance[(size_t)row * (size_t)m->columns + (size_t)c] == TD_CELL_SIMULATED &&
+                     is_inside(floor, m->origin[0] + c * m->cell_m, m->origin[1] + row * m->cell_m);
+    return (double)count * m->cell_m * m->cell_m;
+}
+
 static void compare_map(rehearse *r)
 {
     const double *at = r->state.site_from_vehicle.t;
@@ -51,6 +61,7 @@ static void compare_map(rehearse *r)
             const size_t i = (size_t)row * (size_t)m->columns + (size_t)c;
             const double x = m->origin[0] + c * m->cell_m, y = m->origin[1] + row * m->cell_m;
             const double off = (double)m->height[i] - td_elevation_at(r->true_after, x, y, NULL);
+            if (m->provenance[i] == TD_CELL_SIMULATED) continue;
             if (!isfinite(off) || !isfinite(m->sigma[i]) || hypot(x - at[0], y - at[1]) > REACH_M) continue;
             square += off * off;
             within += fabs(off) <= (double)m->sigma[i];
@@ -95,5 +106,8 @@ td_status rehearse_compare(rehearse *r, td_error *error)
     const td_status status = td_volume_between(&r->volume, NULL, r->map_before, r->map, &o, &why);
     if (status == TD_ERROR_MEMORY) return td_fail(error, status, "%s", why.message);
     if (status != TD_OK) r->volume = (td_volume){.cut_m3 = NAN, .sigma_cut_m3 = NAN};
+    /* What was not seen is off together. */
+    r->filled_m2 = filled_area(r->map, &r->floor);
+    r->sigma_volume_m3 = hypot(r->volume.sigma_cut_m3, r->filled_m2 * r->scatter_m);
     return TD_OK;
 }

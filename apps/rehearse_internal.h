@@ -93,6 +93,7 @@ typedef struct rehearse {
     double look_s;
     double epipolar_px, sigma_epipolar_px;
     double matched_least;
+    double scatter_m; /* of ground as it was predicted, against what was then seen of it */
     td_image *film[REHEARSE_MAX_FILM];
     int film_count;
     station *station; /* the machine as it truly is */
@@ -109,6 +110,7 @@ typedef struct rehearse {
     double map_rms_m, map_share, clearance_m, probability, real_time;
     double dug_m3, predicted_m3, mass_error_kg;
     td_volume volume;
+    double sigma_volume_m3, filled_m2; /* of the volume; around the trench: not seen, taken as predicted */
     gate_result gate;
 } rehearse;
 
@@ -123,6 +125,12 @@ void rehearse_free(rehearse *r);
 td_status rehearse_look_first(rehearse *r, td_error *error);
 /* Through the arm's poses, each a task of its own; with what has been dug. */
 td_status rehearse_look_again(rehearse *r, td_error *error);
+
+/* rehearse_imagine.c */
+/* The machine on the map, standing as the true one is measured to stand. `draw`: as it may be; NULL: as it is
+ * believed to be. */
+td_status rehearse_imagine(station **made, const rehearse *r, const rehearse_draw *draw,
+                           const td_elevation *map, td_error *error);
 
 /* rehearse_task.c */
 /* The scenario's task simulated ahead on the map, validated, downloaded, executed and watched. */

@@ -115,6 +115,33 @@ td_status rehearse_look_first(rehearse *r, td_error *error)
     return r->stopped ? TD_OK : take_map(r, error);
 }
 
+/* ---- again ---- */
+
+static const double LEAST_SCATTER_M = 0.03;
+
+/* What the cameras cannot see, as the ground behind a wall of the trench, is taken as it was predicted, with a
+ * sigma of what the prediction is off around the trench where it is seen. */
+static void fill(rehearse *r, const td_elevation *predicted)
+{
+    td_elevation *m = r->map;
+    const size_t cells = (size_t)m->columns * (size_t)m->rows;
+    double square = 0;
+    size_t seen = 0;
+    for (size_t i = 0; i < cells; i++) {
+        const double off = (double)m->height[i] - (double)predicted->height[i];
+        if (predicted->provenance[i] != TD_CELL_SIMULATED || isnan(off)) continue;
+        square += off * off;
+        seen++;
+    }
+    r->scatter_m = fmax(LEAST_SCATTER_M, seen ? sqrt(square / (double)seen) : 0);
+    for (size_t i = 0; i < cells; i++) {
+        if (!isnan(m->height[i]) || isnan(predicted->height[i])) continue;
+        m->height[i] = predicted->height[i];
+        m->sigma[i] = (float)r->scatter_m;
+        m->provenance[i] = TD_CELL_SIMULATED;
+    }
+}
+
 /* The scene's ground becomes what the machine has made of it. */
 static td_status change_ground(rehearse *r, td_error *error)
 {
@@ -136,5 +163,8 @@ td_status rehearse_look_again(rehearse *r, td_error *error)
         for (int k = 0; k < r->setup->frames && !r->stopped; k++)
             TD_TRY(one(r, &r->state.site_from_vehicle, r->state.q, k == 0, error));
     }
-    return r->stopped ? TD_OK : take_map(r, error);
+    if (r->stopped) return TD_OK;
+    TD_TRY(take_map(r, error));
+    fill(r, r->round[r->round_count - 1].ahead.after);
+    return TD_OK;
 }

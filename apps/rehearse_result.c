@@ -44,6 +44,8 @@ const td_schema_row rehearse_schema[] = {
     {"dug_volume_m3", TD_SCHEMA_REAL, true, false, "cut there in truth"},
     {"measured_volume_m3", TD_SCHEMA_REAL, true, true, "cut there between the first map and the last"},
     {"sigma_volume_m3", TD_SCHEMA_REAL, true, true, "of the measured volume"},
+    {"unseen_m2", TD_SCHEMA_REAL, true, false, "around the trench, not seen since it was dug: taken as predicted"},
+    {"prediction_scatter_m", TD_SCHEMA_REAL, true, false, "ground as predicted less as then seen, rms, where dug"},
     {"mass_error_kg", TD_SCHEMA_REAL, true, false, "all soil at the end less all soil at first: 0"},
     {"clearance_min_m", TD_SCHEMA_REAL, true, true, "least of the motions checked, contact that is meant apart"},
     {"collision_probability_max", TD_SCHEMA_REAL, true, false, "of contact that is not meant, of one motion"},
@@ -116,9 +118,9 @@ void rehearse_judge(rehearse *r, const gate_row *rows)
     gate_check(g, rows, rehearse_gate_count, "left_share", r->left_m3 / r->planned_m3,
                "%.2f of %.2f m3 still stand above the floor of the trench", r->left_m3, r->planned_m3);
     const double off = fabs(r->volume.cut_m3 - r->dug_m3);
-    gate_check(g, rows, rehearse_gate_count, "volume_sigma", off / r->volume.sigma_cut_m3,
+    gate_check(g, rows, rehearse_gate_count, "volume_sigma", off / r->sigma_volume_m3,
                "the measured volume is %.3f m3 off the true one, its sigma is %.3f m3", off,
-               r->volume.sigma_cut_m3);
+               r->sigma_volume_m3);
     gate_check(g, rows, rehearse_gate_count, "tip_sigma", rms / sigma,
                "the tool is %.3f m off its prediction, its sigma is %.3f m", rms, sigma);
     gate_check(g, rows, rehearse_gate_count, "monitor_sigma", deviation,
@@ -183,7 +185,9 @@ static void set_motion(json_t *root, const rehearse *r)
     set(root, "predicted_volume_m3", td_json_real(r->predicted_m3));
     set(root, "dug_volume_m3", td_json_real(r->dug_m3));
     set(root, "measured_volume_m3", td_json_real(r->planned_m3 > 0 ? r->volume.cut_m3 : NAN));
-    set(root, "sigma_volume_m3", td_json_real(r->planned_m3 > 0 ? r->volume.sigma_cut_m3 : NAN));
+    set(root, "sigma_volume_m3", td_json_real(r->planned_m3 > 0 ? r->sigma_volume_m3 : NAN));
+    set(root, "unseen_m2", td_json_real(r->filled_m2));
+    set(root, "prediction_scatter_m", td_json_real(r->scatter_m));
     set(root, "mass_error_kg", td_json_real(r->mass_error_kg));
     set(root, "clearance_min_m", td_json_real(r->clearance_m));
     set(root, "collision_probability_max", td_json_real(r->probability));
@@ -241,7 +245,7 @@ void rehearse_table(const void *done)
            r->looks, r->epipolar_px, r->sigma_epipolar_px, 100 * r->matched_least, r->map_rms_m,
            100 * r->map_share);
     printf("trench of %.3f m3: %.3f predicted, %.3f dug, %.3f +- %.3f measured; %.3f left\n", r->planned_m3,
-           r->predicted_m3, r->dug_m3, r->volume.cut_m3, r->volume.sigma_cut_m3, r->left_m3);
+           r->predicted_m3, r->dug_m3, r->volume.cut_m3, r->sigma_volume_m3, r->left_m3);
     printf("tool %.3f m off its prediction (%.3f at most), sigma %.3f m; clearance %.2f m, contact %.2g; mass "
            "off by %g kg\n",
            rms, most, sigma, r->clearance_m, r->probability, r->mass_error_kg);

@@ -62,26 +62,6 @@ static const char *why_failed(const task_run *run)
     return text;
 }
 
-/* A machine on the map as it is believed, standing as the true one reads. */
-static td_status imagine(station **made, const rehearse *r, const rehearse_draw *draw,
-                         const td_elevation *map, td_error *error)
-{
-    const scenario *s = &r->scenario;
-    td_plant_state start = r->state;
-    station_ground ground = draw ? draw->ground : s->ground;
-    ground.stone_count = 0;
-    start.time_s = 0;
-    memset(start.twist, 0, sizeof start.twist);
-    memset(start.dq, 0, sizeof start.dq);
-    for (int k = 0; draw && k < s->robot->joint_count; k++) start.q[k] -= draw->zero[k];
-    for (int k = 0; k < s->robot->joint_count; k++)
-        start.q[k] = fmax(s->robot->joint[k].lower, fmin(s->robot->joint[k].upper, start.q[k]));
-    TD_TRY(station_new(made, draw ? draw->robot : s->robot, &s->options, &start, map, &ground, error));
-    const td_status status = station_believe(*made, NULL, r->sigma_q, error);
-    if (status != TD_OK) station_free(made);
-    return status;
-}
-
 /* ---- ahead ---- */
 
 static td_status simulate(task_run *run, rehearse *r, const scenario *s, const td_elevation *map,
@@ -89,7 +69,7 @@ static td_status simulate(task_run *run, rehearse *r, const scenario *s, const t
 {
     td_error why = {0};
     TD_TRY(identify(&w->task_id, s->task->task, map, r->state.q, error));
-    const td_status made = imagine(&w->station, r, NULL, map, &why);
+    const td_status made = rehearse_imagine(&w->station, r, NULL, map, &why);
     if (made == TD_ERROR_MEMORY) return td_fail(error, made, "%s", why.message);
     if (made != TD_OK) {
         rehearse_stop(r, "the machine as the map has it: %s", why.message);
@@ -121,7 +101,7 @@ static td_status learn(rehearse *r, rehearse_round *round, td_error *error)
         td_behaviour_begin(&logic, NULL);
         task_world w = {.zero = draw.zero, .task_id = 1, .logic = &logic, .plan = round->plan};
         status = rehearse_draw_make(&draw, r, stream, error);
-        if (status == TD_OK) status = imagine(&w.station, r, &draw, r->map, error);
+        if (status == TD_OK) status = rehearse_imagine(&w.station, r, &draw, r->map, error);
         if (status == TD_OK) status = task_run_in(&run, &r->scenario, &w, r->progress, error);
         if (status == TD_OK) monitor_learn(&round->monitor, &run, count, &tip_square, &tip_count);
         station_free(&w.station);
