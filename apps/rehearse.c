@@ -16,7 +16,7 @@ static cli_option options[] = {
     {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
     {CLI_FLAG, "accept", 0, &accept, NULL, "end with status 0 even when the gate refuses", 0, 0, NULL},
     CLI_COMMON_OPTIONS(common,
-                       "folder for the products: before.tif, after.tif, difference.tif, round-N/ahead and "
+                       "folder for the products: before.tif, after.tif, truth.tif (after), round-N/ahead and "
                        "round-N/done with trajectory.csv, events.csv and recording.mcap, result.yaml, "
                        "report.html, log.jsonl",
                        "what is true and not known; the cameras' noise"),

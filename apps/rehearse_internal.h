@@ -48,21 +48,27 @@ enum {
 typedef struct monitor {
     int joints;
     const task_run *predicted;
-    double sigma[MONITOR_CLASSES][MONITOR_MOST]; /* of actual less predicted */
+    double sigma[MONITOR_CLASSES][MONITOR_MOST]; /* of actual less predicted, over each phase */
+    int motion_count;
+    double (*of_motion)[MONITOR_MOST]; /* (motion_count) the same over each motion, at least its phase's */
+    size_t *samples;                   /* (motion_count) while learning */
+    size_t counts[MONITOR_CLASSES], tip_count;
+    double tip_square;
     double sigma_tip_m;                          /* of the true tool's distance, outside of cuts */
     /* while watching: */
     int motion;
     double since_s;
     int filled, next;
-    double square[MONITOR_WINDOW][MONITOR_MOST];
-    double ratio[MONITOR_MOST]; /* largest so far of the window's rms over sigma */
+    double off[MONITOR_WINDOW][MONITOR_MOST]; /* in sigma */
+    double ratio[MONITOR_MOST];               /* largest so far of the window's mean */
     double late;                /* largest so far of a motion's time over what was predicted */
     double alarm;               /* the ratio from which on the machine is stopped */
 } monitor;
 /* From the same task simulated with other draws. */
-void monitor_begin(monitor *m, const task_run *predicted, int joints, double alarm);
-void monitor_learn(monitor *m, const task_run *drawn, size_t *count, double *tip_square, size_t *tip_count);
-void monitor_learnt(monitor *m, const size_t *count, double tip_square, size_t tip_count);
+td_status monitor_begin(monitor *m, const task_run *predicted, int joints, double alarm, td_error *error);
+void monitor_learn(monitor *m, const task_run *drawn);
+void monitor_learnt(monitor *m);
+void monitor_free(monitor *m);
 void monitor_watch(void *self, const task_sample *sample, bool *deviates, char *why, size_t size);
 /* Actual less predicted (values, 2 joints + 3), false: nothing was predicted there. */
 bool monitor_compare(double *difference, double *tip_true, const task_run *predicted, const task_sample *a,

@@ -1,6 +1,6 @@
 /* Looking: at first from where the machine came, later in poses of the arm, with what has been dug. */
 #include <math.h>
-#include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "apps/rehearse_internal.h"
@@ -119,21 +119,37 @@ td_status rehearse_look_first(rehearse *r, td_error *error)
 
 static const double LEAST_SCATTER_M = 0.03;
 
-/* What the cameras cannot see, as the ground behind a wall of the trench, is taken as it was predicted, with a
- * sigma of what the prediction is off around the trench where it is seen. */
+static int by_value(const void *a, const void *b)
+{
+    const double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* What the prediction is off where it moved soil and the ground is seen: two thirds are less, for at the
+ * trench's walls a cell more or less is half a metre. */
+static td_status scatter(rehearse *r, const td_elevation *predicted, td_error *error)
+{
+    const td_elevation *m = r->map;
+    const size_t cells = (size_t)m->columns * (size_t)m->rows;
+    double *off = malloc(cells * sizeof *off);
+    size_t seen = 0;
+    if (!off) return td_fail(error, TD_ERROR_MEMORY, "no memory for a map");
+    for (size_t i = 0; i < cells; i++) {
+        const double d = (double)m->height[i] - (double)predicted->height[i];
+        if (predicted->provenance[i] == TD_CELL_SIMULATED && !isnan(d)) off[seen++] = fabs(d);
+    }
+    qsort(off, seen, sizeof *off, by_value);
+    r->scatter_m = fmax(LEAST_SCATTER_M, seen ? off[(size_t)(0.68 * (double)seen)] : 0);
+    free(off);
+    return TD_OK;
+}
+
+/* What the cameras cannot see, as the ground behind a wall of the trench, is taken as it was predicted, with
+ * that as its sigma. */
 static void fill(rehearse *r, const td_elevation *predicted)
 {
     td_elevation *m = r->map;
     const size_t cells = (size_t)m->columns * (size_t)m->rows;
-    double square = 0;
-    size_t seen = 0;
-    for (size_t i = 0; i < cells; i++) {
-        const double off = (double)m->height[i] - (double)predicted->height[i];
-        if (predicted->provenance[i] != TD_CELL_SIMULATED || isnan(off)) continue;
-        square += off * off;
-        seen++;
-    }
-    r->scatter_m = fmax(LEAST_SCATTER_M, seen ? sqrt(square / (double)seen) : 0);
     for (size_t i = 0; i < cells; i++) {
         if (!isnan(m->height[i]) || isnan(predicted->height[i])) continue;
         m->height[i] = predicted->height[i];
@@ -165,6 +181,8 @@ td_status rehearse_look_again(rehearse *r, td_error *error)
     }
     if (r->stopped) return TD_OK;
     TD_TRY(take_map(r, error));
-    fill(r, r->round[r->round_count - 1].ahead.after);
+    const td_elevation *predicted = r->round[r->round_count - 1].ahead.after;
+    TD_TRY(scatter(r, predicted, error));
+    fill(r, predicted);
     return TD_OK;
 }

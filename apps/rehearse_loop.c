@@ -15,6 +15,7 @@ void rehearse_free(rehearse *r)
         task_run_free(&r->round[i].ahead);
         task_run_free(&r->round[i].done);
         td_dig_plan_free(&r->round[i].plan);
+        monitor_free(&r->round[i].monitor);
     }
     for (int i = 0; i < r->film_count; i++) td_image_free(r->film + i);
     look_free(&r->look);

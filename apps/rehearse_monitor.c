@@ -3,10 +3,11 @@
  * Both move along the same motions by their shares of the way, so that a motion that waits in the soil is
  * compared where it is. Each motion is planned anew from where the machine is measured to stand: deviations do
  * not add up. Sigma is that of the same task done by machines on soils drawn as they may be, taken together
- * over each phase of a pass. What counts is the root mean square over the last two seconds, in sigma. */
+ * over each phase of a pass, or over the motion itself where it is more. What counts is the mean over the last
+ * two seconds, in sigma: the machine rocks on its tracks, in a phase that nobody predicts. */
 #include <math.h>
 #include <stdio.h>
-#include <string.h>
+#include <stdlib.h>
 
 #include "apps/rehearse_internal.h"
 
@@ -57,36 +58,58 @@ bool monitor_compare(double *difference, double *tip_true, const task_run *predi
     return true;
 }
 
-void monitor_begin(monitor *m, const task_run *predicted, int joints, double alarm)
+td_status monitor_begin(monitor *m, const task_run *predicted, int joints, double alarm, td_error *error)
 {
-    *m = (monitor){.joints = joints, .predicted = predicted, .motion = -1, .alarm = alarm};
+    int count = 0;
+    for (size_t i = 0; i < predicted->count; i++)
+        if (predicted->sample[i].motion >= count) count = predicted->sample[i].motion + 1;
+    *m = (monitor){
+        .joints = joints, .predicted = predicted, .motion = -1, .alarm = alarm, .motion_count = count};
+    m->of_motion = calloc((size_t)count + 1, sizeof *m->of_motion);
+    m->samples = calloc((size_t)count + 1, sizeof *m->samples);
+    return m->of_motion && m->samples ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for a monitor");
 }
 
-void monitor_learn(monitor *m, const task_run *drawn, size_t *count, double *tip_square, size_t *tip_count)
+void monitor_free(monitor *m)
+{
+    free(m->of_motion);
+    free(m->samples);
+    m->of_motion = NULL;
+    m->samples = NULL;
+}
+
+void monitor_learn(monitor *m, const task_run *drawn)
 {
     double d[MONITOR_MOST], tip;
     for (size_t i = 0; i < drawn->count; i++) {
         const task_sample *a = drawn->sample + i;
         if (!monitor_compare(d, &tip, m->predicted, a, m->joints)) continue;
         const int c = class_of(a);
-        for (int k = 0; k < 2 * m->joints + 3; k++) m->sigma[c][k] += d[k] * d[k];
-        count[c]++;
+        for (int k = 0; k < 2 * m->joints + 3; k++) {
+            m->sigma[c][k] += d[k] * d[k];
+            m->of_motion[a->motion][k] += d[k] * d[k];
+        }
+        m->counts[c]++;
+        m->samples[a->motion]++;
         if (a->loose) continue;
-        *tip_square += tip * tip;
-        ++*tip_count;
+        m->tip_square += tip * tip;
+        m->tip_count++;
     }
 }
 
-void monitor_learnt(monitor *m, const size_t *count, double tip_square, size_t tip_count)
+/* A motion's own where it is larger: the machine rocks in some more than in others. */
+void monitor_learnt(monitor *m)
 {
+    const int joints = m->joints, most = 2 * joints + 3;
     for (int c = 0; c < MONITOR_CLASSES; c++)
-        for (int k = 0; k < 2 * m->joints + 3; k++) {
-            const double least = k < m->joints       ? FLOOR_JOINT
-                                 : k < 2 * m->joints ? FLOOR_FORCE_N
-                                                     : FLOOR_TIP_M;
-            m->sigma[c][k] = hypot(least, count[c] ? sqrt(m->sigma[c][k] / (double)count[c]) : 0);
+        for (int k = 0; k < most; k++) {
+            const double least = k < joints ? FLOOR_JOINT : k < 2 * joints ? FLOOR_FORCE_N : FLOOR_TIP_M;
+            m->sigma[c][k] = hypot(least, m->counts[c] ? sqrt(m->sigma[c][k] / (double)m->counts[c]) : 0);
         }
-    m->sigma_tip_m = tip_count ? sqrt(tip_square / (double)tip_count) : NAN;
+    for (int i = 0; i < m->motion_count; i++)
+        for (int k = 0; k < most; k++)
+            m->of_motion[i][k] = m->samples[i] ? sqrt(m->of_motion[i][k] / (double)m->samples[i]) : 0;
+    m->sigma_tip_m = m->tip_count ? sqrt(m->tip_square / (double)m->tip_count) : NAN;
 }
 
 /* ---- while it is executed ---- */
@@ -141,15 +164,18 @@ void monitor_watch(void *self, const task_sample *a, bool *deviates, char *why, 
         m->filled = m->next = 0;
     }
     if (!monitor_compare(d, &tip, m->predicted, a, m->joints)) return;
-    const double *sigma = m->sigma[class_of(a)];
-    for (int k = 0; k < most; k++) m->square[m->next][k] = d[k] * d[k] / (sigma[k] * sigma[k]);
+    double sigma[MONITOR_MOST];
+    for (int k = 0; k < most; k++) {
+        sigma[k] = fmax(m->sigma[class_of(a)][k], m->of_motion[a->motion][k]);
+        m->off[m->next][k] = d[k] / sigma[k];
+    }
     m->next = (m->next + 1) % MONITOR_WINDOW;
     m->filled += m->filled < MONITOR_WINDOW;
     if ((*deviates = is_late(m, a, why, size)) || m->filled < MONITOR_WINDOW) return;
     for (int k = 0; k < most; k++) {
         double sum = 0, scale;
-        for (int i = 0; i < MONITOR_WINDOW; i++) sum += m->square[i][k];
-        const double ratio = sqrt(sum / MONITOR_WINDOW);
+        for (int i = 0; i < MONITOR_WINDOW; i++) sum += m->off[i][k];
+        const double ratio = fabs(sum) / MONITOR_WINDOW;
         m->ratio[k] = fmax(m->ratio[k], ratio);
         if (ratio <= m->alarm || *deviates) continue;
         char name[100];

@@ -45,7 +45,7 @@ const td_schema_row rehearse_schema[] = {
     {"measured_volume_m3", TD_SCHEMA_REAL, true, true, "cut there between the first map and the last"},
     {"sigma_volume_m3", TD_SCHEMA_REAL, true, true, "of the measured volume"},
     {"unseen_m2", TD_SCHEMA_REAL, true, false, "around the trench, not seen since it was dug: taken as predicted"},
-    {"prediction_scatter_m", TD_SCHEMA_REAL, true, false, "ground as predicted less as then seen, rms, where dug"},
+    {"prediction_scatter_m", TD_SCHEMA_REAL, true, false, "ground as predicted less as then seen, where soil was moved: 68 % are less"},
     {"mass_error_kg", TD_SCHEMA_REAL, true, false, "all soil at the end less all soil at first: 0"},
     {"clearance_min_m", TD_SCHEMA_REAL, true, true, "least of the motions checked, contact that is meant apart"},
     {"collision_probability_max", TD_SCHEMA_REAL, true, false, "of contact that is not meant, of one motion"},
@@ -161,6 +161,7 @@ static json_t *products_json(const rehearse *r)
                           "log.jsonl");
     if (r->map_before) set(o, "before", json_string("before.tif"));
     if (r->map_before && r->map) set(o, "after", json_string("after.tif"));
+    if (r->true_after) set(o, "truth", json_string("truth.tif"));
     for (int i = 0; i < r->round_count; i++) {
         char key[40], path[60];
         snprintf(key, sizeof key, "ahead_%d", i + 1);
@@ -287,6 +288,7 @@ td_status rehearse_write(const rehearse *r, const char *folder, td_error *error)
 {
     TD_TRY(write_map(r->map_before, folder, "before.tif", error));
     if (r->map_before) TD_TRY(write_map(r->map, folder, "after.tif", error));
+    TD_TRY(write_map(r->true_after, folder, "truth.tif", error));
     for (int i = 0; i < r->round_count; i++) {
         TD_TRY(write_run(&r->round[i].ahead, r, folder, i, "ahead", error));
         if (r->round[i].executed) TD_TRY(write_run(&r->round[i].done, r, folder, i, "done", error));

@@ -86,29 +86,42 @@ static td_status simulate(task_run *run, rehearse *r, const scenario *s, const t
     return TD_OK;
 }
 
+/* The map as it may be: all of it higher or lower together by its own sigma. */
+static td_status draw_map(td_elevation **drawn, const rehearse *r, uint64_t stream, td_error *error)
+{
+    td_random random = td_random_seed(r->seed, 500 + stream);
+    const double z = td_random_normal(&random);
+    TD_TRY(td_elevation_copy(drawn, r->map, error));
+    const size_t cells = (size_t)r->map->columns * (size_t)r->map->rows;
+    for (size_t i = 0; i < cells; i++)
+        if (!isnan(r->map->sigma[i])) (*drawn)->height[i] += (float)z * r->map->sigma[i];
+    return TD_OK;
+}
+
 /* The same task by machines on soils as they may be: how far what happens may lie off what is predicted. */
 static td_status learn(rehearse *r, rehearse_round *round, td_error *error)
 {
-    size_t count[MONITOR_CLASSES] = {0}, tip_count = 0;
-    double tip_square = 0;
-    td_status status = TD_OK;
-    monitor_begin(&round->monitor, &round->ahead, r->scenario.robot->joint_count, ALARM);
+    td_status status =
+        monitor_begin(&round->monitor, &round->ahead, r->scenario.robot->joint_count, ALARM, error);
     for (int i = 0; i < r->setup->draws && status == TD_OK; i++) {
         const uint64_t stream = 1 + (uint64_t)((r->round_count - 1) * REHEARSE_MAX_DRAWS + i);
         rehearse_draw draw = {0};
         task_run run = {0};
+        td_elevation *map = NULL;
         td_behaviour logic;
         td_behaviour_begin(&logic, NULL);
         task_world w = {.zero = draw.zero, .task_id = 1, .logic = &logic, .plan = round->plan};
         status = rehearse_draw_make(&draw, r, stream, error);
-        if (status == TD_OK) status = rehearse_imagine(&w.station, r, &draw, r->map, error);
+        if (status == TD_OK) status = draw_map(&map, r, stream, error);
+        if (status == TD_OK) status = rehearse_imagine(&w.station, r, &draw, map, error);
         if (status == TD_OK) status = task_run_in(&run, &r->scenario, &w, r->progress, error);
-        if (status == TD_OK) monitor_learn(&round->monitor, &run, count, &tip_square, &tip_count);
+        if (status == TD_OK) monitor_learn(&round->monitor, &run);
         station_free(&w.station);
+        td_elevation_free(&map);
         task_run_free(&run);
         rehearse_draw_free(&draw);
     }
-    monitor_learnt(&round->monitor, count, tip_square, tip_count);
+    if (status == TD_OK) monitor_learnt(&round->monitor);
     return status;
 }
 

@@ -355,12 +355,16 @@ static td_status begin_control(session *x, td_error *error)
 static td_status begin_in_world(session *x, td_error *error)
 {
     x->logic = *x->world->logic;
-    x->task_id = x->world->task_id;
     x->links_open = x->logic.phase != TD_PHASE_IDLE;
-    if (x->logic.phase == TD_PHASE_DOWNLOADED) return react(x, TD_EVENT_BIT(TD_EVENT_EXECUTE), error);
+    if (x->logic.phase == TD_PHASE_DOWNLOADED) {
+        x->task_id = x->world->task_id;
+        return react(x, TD_EVENT_BIT(TD_EVENT_EXECUTE), error);
+    }
+    x->task_id = x->logic.task; /* that of the last task, until it is put away */
     const td_event begins = x->logic.phase == TD_PHASE_IDLE ? TD_EVENT_PREPARE : TD_EVENT_REINIT;
     TD_TRY(react(x, TD_EVENT_BIT(begins), error));
     TD_TRY(react(x, 0, error));
+    x->task_id = x->world->task_id;
     return react(x, TD_EVENT_BIT(TD_EVENT_START), error);
 }
 
