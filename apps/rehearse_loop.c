@@ -7,7 +7,8 @@
 #include "apps/rehearse_internal.h"
 #include "core/rig_draw.h"
 
-static const double WORTH_SHARE = 0.05; /* of the trench: another round is made for it */
+static const double WORTH_SHARE = 0.05; /* of the trench: another round is made for it, */
+static const double LESS = 0.8;         /* if the last one left no more than that of what it found */
 
 void rehearse_free(rehearse *r)
 {
@@ -75,8 +76,10 @@ static bool is_worth(rehearse *r, const rehearse_round *round)
         r->floor = round->plan->floor;
         r->planned_m3 = round->plan->trench_m3;
     }
+    const double before = r->left_m3;
     r->left_m3 = round->plan->trench_m3;
-    return r->round_count == 1 || round->plan->cut_m3 > WORTH_SHARE * r->planned_m3;
+    return r->round_count == 1 ||
+           (round->plan->cut_m3 > WORTH_SHARE * r->planned_m3 && r->left_m3 < LESS * before);
 }
 
 static td_status go_round(bool *again, rehearse *r, td_error *error)
