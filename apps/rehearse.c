@@ -42,7 +42,8 @@ static cli_command command = {
         "when a motion takes twice its time, the machine is stopped, with the reason. Then it looks again, "
         "and what still stands above the first plan's floor is planned anew, until it is not worth a pass. "
         "Sigma of the monitor are those of the same task done by further draws.\n\n"
-        "The rig is checked by the epipolar lines of each place's first pair; a dark camera, too few matches, "
+        "The rig is checked by the epipolar lines of each place's first pair; a dark camera, too few "
+        "matches, "
         "a map with holes under the tracks or in the trench stop the loop, with the reason, before anything "
         "moves. The base's pose is taken as measured without error.\n\n"
         "Exit status: 0 done, 1 failed, 2 wrong usage, 3 the gate refuses the result (--accept).",
@@ -89,8 +90,7 @@ int main(int argc, char **argv)
     job j;
     for (size_t i = 0; i < command.option_count; i++)
         if (options[i].target == &gates) options[i].help = whole_gate_help();
-    int code =
-        job_begin(&j, &command, &common, rehearse_schema, rehearse_schema_count, true, argc, argv);
+    int code = job_begin(&j, &command, &common, rehearse_schema, rehearse_schema_count, true, argc, argv);
     if (code >= 0) return code;
     rehearse *r = calloc(1, sizeof *r);
     rehearse_setup *setup = calloc(1, sizeof *setup);

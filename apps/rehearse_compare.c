@@ -76,7 +76,7 @@ static void compare_tip(rehearse *r, rehearse_round *round)
     double d[MONITOR_MOST], tip;
     for (size_t i = 0; i < round->done.count; i++) {
         const task_sample *a = round->done.sample + i;
-        if (a->loose || a->phase != TD_PHASE_EXECUTING) continue;
+        if (!monitor_is_free(a) || a->phase != TD_PHASE_EXECUTING) continue;
         if (!monitor_compare(d, &tip, &round->ahead, a, r->scenario.robot->joint_count)) continue;
         round->tip_square += tip * tip;
         round->tip_most_m = fmax(round->tip_most_m, tip);

@@ -35,8 +35,8 @@ static td_status stand(station **made, const rehearse *r, const rehearse_draw *d
 {
     station_ground ground = draw ? draw->ground : r->scenario.ground;
     ground.stone_count = 0;
-    return station_new(made, draw ? draw->robot : r->scenario.robot, &r->scenario.options, start, map, &ground,
-                       error);
+    return station_new(made, draw ? draw->robot : r->scenario.robot, &r->scenario.options, start, map,
+                       &ground, error);
 }
 
 static td_status settle(station **made, const rehearse *r, const rehearse_draw *draw, td_elevation *map,

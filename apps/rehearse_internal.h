@@ -17,7 +17,7 @@ typedef struct rehearse_truth {
     double soil_times; /* by which cohesion and adhesion are larger besides */
     double rig_sigma;  /* by which the rig's covariance is multiplied, of standard deviations */
     double joint_sigma_rad;
-    int dark_look; /* from that look on, counted from 1, the right camera sees nothing; 0: never */
+    int dark_look; /* from that look on, counted from 1, the cameras see nothing; 0: never */
     int stone_count;
     td_world_stone stone[STATION_MAX_STONES]; /* that no map shows */
 } rehearse_truth;
@@ -54,15 +54,15 @@ typedef struct monitor {
     size_t *samples;                   /* (motion_count) while learning */
     size_t counts[MONITOR_CLASSES], tip_count;
     double tip_square;
-    double sigma_tip_m;                          /* of the true tool's distance, outside of cuts */
+    double sigma_tip_m; /* of the true tool's distance, above the ground */
     /* while watching: */
     int motion;
     double since_s;
     int filled, next;
     double off[MONITOR_WINDOW][MONITOR_MOST]; /* in sigma */
     double ratio[MONITOR_MOST];               /* largest so far of the window's mean */
-    double late;                /* largest so far of a motion's time over what was predicted */
-    double alarm;               /* the ratio from which on the machine is stopped */
+    double late;                              /* largest so far of a motion's time over what was predicted */
+    double alarm;                             /* the ratio from which on the machine is stopped */
 } monitor;
 /* From the same task simulated with other draws. */
 td_status monitor_begin(monitor *m, const task_run *predicted, int joints, double alarm, td_error *error);
@@ -70,6 +70,8 @@ void monitor_learn(monitor *m, const task_run *drawn);
 void monitor_learnt(monitor *m);
 void monitor_free(monitor *m);
 void monitor_watch(void *self, const task_sample *sample, bool *deviates, char *why, size_t size);
+/* In no cut, nor on the way in and out of the ground. */
+bool monitor_is_free(const task_sample *a);
 /* Actual less predicted (values, 2 joints + 3), false: nothing was predicted there. */
 bool monitor_compare(double *difference, double *tip_true, const task_run *predicted, const task_sample *a,
                      int joints);
@@ -79,8 +81,8 @@ typedef struct rehearse_round {
     td_dig_plan *plan;
     monitor monitor;
     bool executed;
-    double predicted_m3;                      /* around the trench */
-    double tip_square, tip_most_m;            /* of true less predicted, outside of cuts */
+    double predicted_m3;           /* around the trench */
+    double tip_square, tip_most_m; /* of true less predicted, above the ground */
     size_t tip_count;
 } rehearse_round;
 
@@ -102,7 +104,7 @@ typedef struct rehearse {
     double scatter_m; /* of ground as it was predicted, against what was then seen of it */
     td_image *film[REHEARSE_MAX_FILM];
     int film_count;
-    station *station; /* the machine as it truly is */
+    station *station;     /* the machine as it truly is */
     td_plant_state state; /* as it reads */
     td_elevation *map, *map_before;
     td_elevation *true_before, *true_after;

@@ -5,7 +5,9 @@
 
 #include "apps/rehearse_internal.h"
 
-static const double DARK_GREY = 6, LEAST_MATCHED = 0.1, EPIPOLAR_TIMES = 5, EPIPOLAR_FLOOR_PX = 0.15;
+static const double DARK_GREY = 6, DARK_GAIN = 1e-3, LEAST_MATCHED = 0.1;
+/* Matches scatter by 0.04 px themselves; three times that and the rig's own sigma is another rig. */
+static const double EPIPOLAR_TIMES = 3, EPIPOLAR_NOISE_PX = 0.04;
 
 static void keep(rehearse *r)
 {
@@ -27,13 +29,15 @@ static void judge(rehearse *r, const look_result *seen)
                           r->looks, sides[i], seen->grey[i]);
     r->matched_least = fmin(r->matched_least, seen->shares.matched);
     if (!r->stopped && seen->shares.matched < LEAST_MATCHED)
-        rehearse_stop(r,
-                      "look %d: only %.1f %% of the pixels are matched: the cameras see too little, or are not "
-                      "where the rig says",
-                      r->looks, 100 * seen->shares.matched);
+        rehearse_stop(
+            r,
+            "look %d: only %.1f %% of the pixels are matched: the cameras see too little, or are not "
+            "where the rig says",
+            r->looks, 100 * seen->shares.matched);
 }
 
-/* The rig against the first pair of each place: the cameras may have been moved since they were calibrated. */
+/* The rig against the first pair of each place: the cameras may have been moved since they were calibrated.
+ */
 static td_status check_rig(rehearse *r, td_error *error)
 {
     double rms = NAN, sigma = NAN;
@@ -44,13 +48,14 @@ static td_status check_rig(rehearse *r, td_error *error)
         rehearse_stop(r, "look %d: the rig cannot be checked: %s", r->looks, why.message);
         return TD_OK;
     }
-    const double allowed = EPIPOLAR_TIMES * fmax(EPIPOLAR_FLOOR_PX, isfinite(sigma) ? sigma : 0);
+    const double allowed = EPIPOLAR_TIMES * hypot(EPIPOLAR_NOISE_PX, isfinite(sigma) ? sigma : 0);
     if (!(rms <= r->epipolar_px)) r->epipolar_px = rms, r->sigma_epipolar_px = sigma;
     if (rms > allowed)
-        rehearse_stop(r,
-                      "look %d: matches lie %.2f px off their epipolar lines, where the rig's covariance allows "
-                      "%.2f px: the calibration is not that of this head; calibrate it again",
-                      r->looks, rms, allowed);
+        rehearse_stop(
+            r,
+            "look %d: matches lie %.2f px off their epipolar lines, where the rig's covariance allows "
+            "%.2f px: the calibration is not that of this head; calibrate it again",
+            r->looks, rms, allowed);
     return TD_OK;
 }
 
@@ -60,7 +65,8 @@ static td_status one(rehearse *r, const td_pose *site_from_vehicle, const double
     look_result seen;
     if (r->stopped) return TD_OK;
     r->looks++;
-    if (r->setup->truth.dark_look && r->looks >= r->setup->truth.dark_look) look_view(r->look)->gain = 0;
+    if (r->setup->truth.dark_look && r->looks >= r->setup->truth.dark_look)
+        look_view(r->look)->gain = DARK_GAIN;
     for (int k = 0; k < r->scenario.robot->joint_count; k++) r->scene->scene.q[k] = q[k] - r->truth.zero[k];
     r->scene->scene.site_from_vehicle = *site_from_vehicle;
     if (!td_progress_report(r->progress, "looking", (size_t)r->looks, (size_t)r->looks + 1))

@@ -1,10 +1,10 @@
 /* The monitor: predicted against actual, sample by sample along the same motion.
  *
  * Both move along the same motions by their shares of the way, so that a motion that waits in the soil is
- * compared where it is. Each motion is planned anew from where the machine is measured to stand: deviations do
- * not add up. Sigma is that of the same task done by machines on soils drawn as they may be, taken together
- * over each phase of a pass, or over the motion itself where it is more. What counts is the mean over the last
- * two seconds, in sigma: the machine rocks on its tracks, in a phase that nobody predicts. */
+ * compared where it is. Each motion is planned anew from where the machine is measured to stand: deviations
+ * do not add up. Sigma is that of the same task done by machines on soils drawn as they may be, taken
+ * together over each phase of a pass, or over the motion itself where it is more. What counts is the mean
+ * over the last two seconds, in sigma: the machine rocks on its tracks, in a phase that nobody predicts. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -18,6 +18,12 @@ static const double LATE_TIMES = 2, LATE_S = 10;
 static int class_of(const task_sample *a)
 {
     return a->dig_phase >= 0 && a->dig_phase < MONITOR_CLASSES - 1 ? a->dig_phase : MONITOR_CLASSES - 1;
+}
+
+bool monitor_is_free(const task_sample *a)
+{
+    return !a->loose && a->dig_phase != TD_DIG_APPROACH && a->dig_phase != TD_DIG_CUT &&
+           a->dig_phase != TD_DIG_LIFT;
 }
 
 static void values_of(double *value, const task_sample *a, int joints)
@@ -91,7 +97,7 @@ void monitor_learn(monitor *m, const task_run *drawn)
         }
         m->counts[c]++;
         m->samples[a->motion]++;
-        if (a->loose) continue;
+        if (!monitor_is_free(a)) continue;
         m->tip_square += tip * tip;
         m->tip_count++;
     }

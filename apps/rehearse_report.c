@@ -23,10 +23,9 @@ static void figures(td_report *r, const rehearse *x)
 
 static void rounds(td_report *r, const rehearse *x)
 {
-    static const char *const columns[] = {"round",    "executed",         "passes",
-                                          "above m³", "ahead s",          "done s",
-                                          "tool m",   "sigma of tool m",  "peak ahead kN",
-                                          "peak kN",  "monitor in sigma", "stalls"};
+    static const char *const columns[] = {"round",         "executed", "passes",           "above m³",
+                                          "ahead s",       "done s",   "tool m",           "sigma of tool m",
+                                          "peak ahead kN", "peak kN",  "monitor in sigma", "stalls"};
     td_report_table_begin(r, columns, sizeof columns / sizeof *columns);
     for (int i = 0; i < x->round_count; i++) {
         const rehearse_round *o = x->round + i;
@@ -69,9 +68,8 @@ static void plot(td_report *r, const rehearse_round *o, int joints, int what, in
         const task_sample *a = o->done.sample + i;
         v[i] = a->time_s;
         v[n + i] = pick(a, what, k);
-        v[2 * n + i] = monitor_compare(d, &tip, &o->ahead, a, joints)
-                           ? v[n + i] - scale * d[what * joints + k]
-                           : NAN;
+        v[2 * n + i] =
+            monitor_compare(d, &tip, &o->ahead, a, joints) ? v[n + i] - scale * d[what * joints + k] : NAN;
     }
     const td_series series[] = {
         {.label = "predicted", .shape = TD_SHAPE_LINE, .count = n, .x = v, .y = v + 2 * n},

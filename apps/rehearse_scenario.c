@@ -13,7 +13,7 @@
  *     soil_times: 1               (cohesion so many times what is believed)
  *     rig_sigma: 1                (so many times the rig's covariance, as standard deviations)
  *     joint_sigma_deg: 0.05       (of the joints' zeros)
- *     dark_look: 0                (from that look on the right camera is dark)
+ *     dark_look: 0                (from that look on, counted from 1, the cameras are dark; 0: never)
  *     stones: [{at_m: …}]         (in nobody's map; as a scenario's ground has them)
  *   look:
  *     before: 1..5                (frames of the scene: where the machine looked from as it came)
@@ -148,19 +148,21 @@ static td_status check_scenario(const rehearse_setup *p, const scenario *s, td_e
 {
     int digs = 0, others = 0;
     if (!s->task || !s->has_ground || !s->ground.site[0] || !s->ground.has_soil || !s->ground.has_region)
-        return td_fail(error, TD_ERROR_DATA,
-                       "%s: a rehearsal looks at a site and digs there: give the scenario a task, and ground: "
-                       "{site: SCENE, soil: FILE, region_m: […]}",
-                       p->scenario_path);
+        return td_fail(
+            error, TD_ERROR_DATA,
+            "%s: a rehearsal looks at a site and digs there: give the scenario a task, and ground: "
+            "{site: SCENE, soil: FILE, region_m: […]}",
+            p->scenario_path);
     for (int i = 0; i < s->task->task->step_count; i++) {
         digs += s->task->task->step[i].kind == TD_TASK_DIG;
         others += s->task->task->step[i].kind == TD_TASK_DRIVE;
     }
     if (digs != 1 || others)
-        return td_fail(error, TD_ERROR_DATA,
-                       "%s: a rehearsal is of one trench dug from one place: the task has %d dig and %d drive "
-                       "steps",
-                       p->scenario_path, digs, others);
+        return td_fail(
+            error, TD_ERROR_DATA,
+            "%s: a rehearsal is of one trench dug from one place: the task has %d dig and %d drive "
+            "steps",
+            p->scenario_path, digs, others);
     return TD_OK;
 }
 

@@ -25,13 +25,12 @@ void rehearse_stop(rehearse *r, const char *format, ...)
 void rehearse_order(rehearse *r, td_event event, uint32_t task_id)
 {
     td_behaviour_outputs out;
-    const td_behaviour_inputs in = {.events = TD_EVENT_BIT(event),
-                                    .links_open = true,
-                                    .parameters_read = true,
-                                    .task = task_id,
-                                    .machine_task = event >= TD_EVENT_EXECUTE || event == TD_EVENT_DOWNLOADED
-                                                        ? task_id
-                                                        : 0};
+    const td_behaviour_inputs in = {
+        .events = TD_EVENT_BIT(event),
+        .links_open = true,
+        .parameters_read = true,
+        .task = task_id,
+        .machine_task = event >= TD_EVENT_EXECUTE || event == TD_EVENT_DOWNLOADED ? task_id : 0};
     td_behaviour_react(&r->logic, &in, &out);
 }
 

@@ -85,7 +85,8 @@ td_status session_sample(session *x, td_error *error)
         for (int k = 0; k < x->s->robot->joint_count; k++) q[k] = x->state.q[k] - x->world->zero[k];
         a->tool_true = session_tool(x, q, &x->state.site_from_vehicle);
     }
-    const bool pressing = (x->out.drive == TD_DRIVE_SIMULATE || x->out.drive == TD_DRIVE_EXECUTE) && x->step < x->steps && x->step_begun &&
+    const bool pressing = (x->out.drive == TD_DRIVE_SIMULATE || x->out.drive == TD_DRIVE_EXECUTE) &&
+                          x->step < x->steps && x->step_begun &&
                           x->setup->task->step[x->step].kind == TD_TASK_PRESS;
     a->press_n = pressing ? x->press.force_n : NAN;
     a->loose = session_cuts(x) || !x->step_begun || !(x->step < x->steps) ||

@@ -3,8 +3,7 @@
 The happy way: the trench is dug in the true world, which is off in masses, soil, joint zeros and calibration; the map that is
 then seen is counted anew with numpy against truth.tif, and the volumes agree within their sigma (4 of them: one draw, seed
 fixed). No soil is lost. The same seed gives the same bytes. The ways it goes wrong each stop it, with the reason, before or
-while the machine moves: a calibration that is not the head's, a camera that goes dark after the digging, ground under the
-tracks that nobody saw, soil twenty times harder. What a rehearsal cannot be is named.
+while the machine moves: a calibration that is not the head's (60 sigma at the first pair; 10 in the map at the end), a camera that goes dark after the digging, a trench on ground that nobody saw, soil twenty times harder. What a rehearsal cannot be is named.
 
 Blind to: whether sigma hold over many draws (one seed); a base whose pose is measured with an error."""
 
@@ -111,7 +110,8 @@ def happy(folder):
     check(r["tip_error_m"] < 4 * r["sigma_tip_m"], f"tool {r['tip_error_m']:.4f} m off, sigma {r['sigma_tip_m']:.4f}")
     check(r["collision_probability_max"] < 0.01, "no probable contact")
     check(r["real_time_factor"] > 1, f"ahead {r['real_time_factor']:.1f} times real time")
-    check(r["epipolar_px"] < 0.3, f"epipolar {r['epipolar_px']:.3f} px")
+    check(r["epipolar_px"] < 0.1, f"epipolar {r['epipolar_px']:.3f} px")
+    check(r["map_share_within_sigma"] > 0.5, f"share within sigma {r['map_share_within_sigma']:.2f}")
     after, truth = read_map(os.path.join(out, "after.tif")), read_map(os.path.join(out, "truth.tif"))
     x, y = numpy.meshgrid(numpy.arange(5.3, 6.8, 0.04), numpy.arange(-0.15, 0.55, 0.04))
     floor = sample(after, x, y) - sample(truth, x, y)
@@ -132,9 +132,12 @@ def stopped(folder, name, words, executed, **how):
 
 
 def failures(folder):
-    stopped(folder, "turned", ("calibrat",), False, truth="rig_sigma: 60", before="3..5")
-    stopped(folder, "dark", ("right camera is dark",), True, truth="dark_look: 6")
-    stopped(folder, "unseen", ("track",), False, before="3..5")
+    r = rehearse(rehearsal(folder, "ten", truth="rig_sigma: 10"), os.path.join(folder, "ten"), "--seed", "3", status=3)
+    check(any("sigma" in reason for reason in r["reasons"]), f"a calibration ten sigma off is told: {r['reasons']}")
+    check(r["map_share_within_sigma"] < 0.5, f"share within sigma {r['map_share_within_sigma']:.2f}")
+    stopped(folder, "turned", ("calibrat",), False, truth="rig_sigma: 60")
+    stopped(folder, "dark", ("camera is dark",), True, truth="dark_look: 6")
+    stopped(folder, "unseen", ("unknown",), False, before="3..3")
     stopped(folder, "hard", ("stopped safely",), True, truth="soil_times: 20")
 
 
