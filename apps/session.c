@@ -105,7 +105,8 @@ static td_status react(session *x, uint32_t events, td_error *error)
     const td_behaviour_inputs in = {.events = events,
                                     .links_open = x->links_open,
                                     .parameters_read = x->parameters_read,
-                                    .task = x->task_id};
+                                    .task = x->task_id,
+                                    .machine_task = x->world ? x->task_id : 0};
     td_behaviour_react(&x->logic, &in, &x->out);
     TD_TRY(tell(x, before, events, error));
     if (x->out.close_links) x->links_open = false;
@@ -131,6 +132,7 @@ static td_status drive(session *x, td_error *error)
     td_status status;
     switch (x->out.drive) {
     case TD_DRIVE_SIMULATE:
+    case TD_DRIVE_EXECUTE:
         status = session_work(x, &why);
         break;
     case TD_DRIVE_JOG:
@@ -200,11 +202,19 @@ static td_status see_events(session *x, td_error *error)
     return TD_OK;
 }
 
+td_status session_read(session *x, td_error *error)
+{
+    TD_TRY(x->plant.state(x->plant.self, &x->state, error));
+    if (!x->world || !x->world->zero) return TD_OK;
+    for (int k = 0; k < x->s->robot->joint_count; k++) x->state.q[k] += x->world->zero[k];
+    return TD_OK;
+}
+
 /* Of any other plant, as its readings tell them. */
 static td_status see_stops(session *x, td_error *error)
 {
     if (x->machine) return see_events(x, error);
-    TD_TRY(x->plant.state(x->plant.self, &x->state, error));
+    TD_TRY(session_read(x, error));
     for (int k = 0; k < x->s->robot->joint_count; k++) {
         const td_robot_joint *j = x->s->robot->joint + k;
         const bool met = x->state.at_stop[k];
@@ -215,6 +225,11 @@ static td_status see_stops(session *x, td_error *error)
     return TD_OK;
 }
 
+static bool is_working(const session *x)
+{
+    return x->logic.phase == TD_PHASE_SIMULATING || x->logic.phase == TD_PHASE_EXECUTING;
+}
+
 static bool is_over(const session *x)
 {
     const td_phase phase = x->logic.phase;
@@ -223,7 +238,7 @@ static bool is_over(const session *x)
     if (x->next_input < x->input->count) return false;
     const bool rested = (double)(x->period - x->phase_since) * x->s->period_s >= REST_S;
     if (phase == TD_PHASE_IDLE) return rested;
-    if (phase == TD_PHASE_SIMULATING || (x->live && live_attended(x->live))) return false;
+    if (is_working(x) || (x->live && live_attended(x->live))) return false;
     return phase == TD_PHASE_SIMULATED || rested;
 }
 
@@ -239,11 +254,13 @@ static td_status one_period(session *x, td_error *error)
     uint32_t events = x->reports;
     x->reports = 0;
     x->wish.kind = TD_JOG_NOTHING;
-    TD_TRY(x->plant.state(x->plant.self, &x->state, error));
-    if (x->logic.phase == TD_PHASE_SIMULATING && is_at_end(x)) events |= TD_EVENT_BIT(TD_EVENT_ENDED);
+    TD_TRY(session_read(x, error));
+    if (is_working(x) && is_at_end(x)) events |= TD_EVENT_BIT(TD_EVENT_ENDED);
     TD_TRY(take_inputs(x, &events, error));
     TD_TRY(react(x, events, error));
-    if (x->out.messages & TD_MESSAGE_BIT(TD_MESSAGE_SIMULATION_ENDED)) session_keep_steady(x);
+    if (x->out.messages &
+        (TD_MESSAGE_BIT(TD_MESSAGE_SIMULATION_ENDED) | TD_MESSAGE_BIT(TD_MESSAGE_EXECUTION_ENDED)))
+        session_keep_steady(x);
     TD_TRY(drive(x, error));
     if (session_time(x) >= (double)x->log_index * x->s->log_s - 1e-9) {
         x->log_index = (size_t)floor(session_time(x) / x->s->log_s + 1e-6) + 1;
@@ -297,19 +314,22 @@ static td_status begin_machine(session *x, td_machine_base base, td_error *error
 static td_status begin_station(session *x, td_error *error)
 {
     const scenario *s = x->s;
-    TD_TRY(station_new(&x->station, s->robot, &s->options, &s->start, s->map, &s->ground, error));
+    if (x->world)
+        x->station = x->world->station;
+    else
+        TD_TRY(station_new(&x->station, s->robot, &s->options, &s->start, s->map, &s->ground, error));
     x->plant = station_plant(x->station);
     return session_keep_ground(x, error);
 }
 
 static td_status begin_plant(session *x, td_machine_base base, td_error *error)
 {
-    if (x->s->map)
+    if (x->s->map || x->world)
         TD_TRY(begin_station(x, error));
     else
         TD_TRY(begin_machine(x, base, error));
-    TD_TRY(x->plant.state(x->plant.self, &x->start, error));
-    x->state = x->start;
+    TD_TRY(session_read(x, error));
+    x->start = x->state;
     x->base = x->start.site_from_vehicle;
     memcpy(x->wanted, x->start.q, sizeof x->wanted);
     if (td_dynamics_zx200(&x->dynamics, x->s->robot, NULL) == TD_OK) return TD_OK;
@@ -331,6 +351,23 @@ static td_status begin_control(session *x, td_error *error)
     return td_jog_start(&x->jog, s->robot, &slow, TD_COMMAND_FLOW, error);
 }
 
+/* With the behaviour as it was left: what was downloaded is executed, else the task is simulated. */
+static td_status begin_in_world(session *x, td_error *error)
+{
+    x->logic = *x->world->logic;
+    x->links_open = x->logic.phase != TD_PHASE_IDLE;
+    if (x->logic.phase == TD_PHASE_DOWNLOADED) {
+        x->task_id = x->world->task_id;
+        return react(x, TD_EVENT_BIT(TD_EVENT_EXECUTE), error);
+    }
+    x->task_id = x->logic.task; /* that of the last task, until it is put away */
+    const td_event begins = x->logic.phase == TD_PHASE_IDLE ? TD_EVENT_PREPARE : TD_EVENT_REINIT;
+    TD_TRY(react(x, TD_EVENT_BIT(begins), error));
+    TD_TRY(react(x, 0, error));
+    x->task_id = x->world->task_id;
+    return react(x, TD_EVENT_BIT(TD_EVENT_START), error);
+}
+
 /* Prepare, the checks, StartSim: before time begins. */
 static td_status begin_session(session *x, td_error *error)
 {
@@ -348,6 +385,7 @@ static td_status begin_session(session *x, td_error *error)
     x->command.kind = TD_COMMAND_FLOW;
     x->ahead = calloc((size_t)x->steps, sizeof *x->ahead);
     if (!x->ahead) return td_fail(error, TD_ERROR_MEMORY, "no memory for a task");
+    if (x->world) return begin_in_world(x, error);
     td_behaviour_begin(&x->logic, &o);
     TD_TRY(react(x, TD_EVENT_BIT(TD_EVENT_PREPARE), error));
     TD_TRY(react(x, 0, error));
@@ -383,6 +421,32 @@ static td_status end_station(session *x, td_error *error)
     return td_elevation_copy(&x->run->after, map, error);
 }
 
+/* The whole session; frees all but what the world lent. */
+static td_status run_session(session *x, td_machine_base base, const td_progress *progress, td_error *error)
+{
+    task_run *run = x->run;
+    td_status status = begin_plant(x, base, error);
+    if (status == TD_OK) status = begin_control(x, error);
+    if (status == TD_OK) status = begin_session(x, error);
+    const double begun = cpu_now();
+    if (status == TD_OK && x->live) status = live_start(x->live, error);
+    if (status == TD_OK) status = all_the_way(x, progress, error);
+    run->cpu_s = cpu_now() - begun;
+    run->time_s = session_time(x);
+    run->input.end = x->period;
+    run->phase = x->logic.phase;
+    if (x->machine) run->counters = td_machine_count(x->machine);
+    if (status == TD_OK && x->station) status = end_station(x, error);
+    if (x->live) run->live = (task_live){true, live_counts(x->live), x->s->period_s};
+    session_forget_plans(x);
+    session_end_dig(x);
+    free(x->ahead);
+    td_dynamics_free(&x->dynamics);
+    if (!x->world) station_free(&x->station);
+    td_machine_free(&x->machine);
+    return status;
+}
+
 td_status task_run_session(task_run *run, const scenario *s, td_machine_base base, const task_inputs *inputs,
                            struct live *live, const td_progress *progress, td_error *error)
 {
@@ -391,25 +455,21 @@ td_status task_run_session(task_run *run, const scenario *s, td_machine_base bas
     if (!x) return td_fail(error, TD_ERROR_MEMORY, "no memory for a session");
     *x = (session){
         .s = s, .setup = s->task, .input = inputs ? inputs : &s->task->orders, .run = run, .live = live};
-    td_status status = begin_plant(x, base, error);
-    if (status == TD_OK) status = begin_control(x, error);
-    if (status == TD_OK) status = begin_session(x, error);
-    const double begun = cpu_now();
-    if (status == TD_OK && live) status = live_start(live, error);
-    if (status == TD_OK) status = all_the_way(x, progress, error);
-    run->cpu_s = cpu_now() - begun;
-    run->time_s = session_time(x);
-    run->input.end = x->period;
-    run->phase = x->logic.phase;
-    if (x->machine) run->counters = td_machine_count(x->machine);
-    if (status == TD_OK && x->station) status = end_station(x, error);
-    if (live) run->live = (task_live){true, live_counts(live), s->period_s};
-    session_forget_plans(x);
-    session_end_dig(x);
-    free(x->ahead);
-    td_dynamics_free(&x->dynamics);
-    station_free(&x->station);
-    td_machine_free(&x->machine);
+    const td_status status = run_session(x, base, progress, error);
+    free(x);
+    return status;
+}
+
+td_status task_run_in(task_run *run, const scenario *s, task_world *world, const td_progress *progress,
+                      td_error *error)
+{
+    static const task_inputs none = {.end = -1};
+    session *x = calloc(1, sizeof *x);
+    *run = (task_run){0};
+    if (!x) return td_fail(error, TD_ERROR_MEMORY, "no memory for a session");
+    *x = (session){.s = s, .setup = s->task, .input = &none, .run = run, .world = world};
+    const td_status status = run_session(x, s->options.base, progress, error);
+    *world->logic = x->logic;
     free(x);
     return status;
 }

@@ -55,6 +55,11 @@ bool session_cuts(const session *x)
            move_at(&x->dig, x->dig.move - 1).phase == TD_DIG_CUT;
 }
 
+int session_dig_phase(const session *x)
+{
+    return x->dig.busy && x->dig.move > 0 ? (int)move_at(&x->dig, x->dig.move - 1).phase : -1;
+}
+
 bool session_digs(const session *x)
 {
     return x->dig.busy;
@@ -62,7 +67,7 @@ bool session_digs(const session *x)
 
 void session_end_dig(session *x)
 {
-    td_dig_plan_free(&x->dig.plan);
+    td_dig_plan_free(&x->dig.own);
     x->dig = (session_dig){0};
 }
 
@@ -92,7 +97,7 @@ static td_status make_plan(session *x, const td_dig_floor *floor, td_error *erro
     memcpy(bucket.opening, b.opening, sizeof bucket.opening);
     o.swell = x->s->ground.soil.swell;
     o.repose_rad = x->s->ground.soil.repose_rad;
-    TD_TRY(station_map(&map, x->station, error));
+    TD_TRY(station_seen(&map, x->station, error));
     const td_dig_request request = {.map = map,
                                     .robot = x->s->robot,
                                     .site_from_vehicle = &x->state.site_from_vehicle,
@@ -103,9 +108,12 @@ static td_status make_plan(session *x, const td_dig_floor *floor, td_error *erro
                                     .dump = dump_of(x),
                                     .floor = floor,
                                     .bucket = &bucket};
-    td_dig_plan_free(&x->dig.plan);
+    td_dig_plan_free(&x->dig.own);
+    x->dig.plan = NULL;
     x->dig.move = 0;
-    return td_dig_plan_make(&x->dig.plan, &request, &o, error);
+    const td_status status = td_dig_plan_make(&x->dig.own, &request, &o, error);
+    x->dig.plan = x->dig.own;
+    return status;
 }
 
 static td_status tell_plan(session *x, td_error *error)
@@ -118,12 +126,29 @@ static td_status tell_plan(session *x, td_error *error)
     return session_note(x, NOTE_MESSAGE, x->dig.round ? "trench again" : "trench", text, error);
 }
 
+/* The plan that was validated, or one that the world is given. */
+static td_status first_plan(session *x, td_error *error)
+{
+    task_world *w = x->world;
+    if (w && w->plan) {
+        x->dig.plan = w->plan;
+        return TD_OK;
+    }
+    TD_TRY(make_plan(x, w ? w->floor : NULL, error));
+    if (w) {
+        td_dig_plan_free(&w->made);
+        w->made = x->dig.own;
+        x->dig.own = NULL;
+    }
+    return TD_OK;
+}
+
 static td_status begin_trench(session *x, td_error *error)
 {
     td_error why = {0};
     char text[600];
     x->dig.busy = true;
-    const td_status status = make_plan(x, NULL, &why);
+    const td_status status = first_plan(x, &why);
     if (status == TD_ERROR_MEMORY) return td_fail(error, status, "%s", why.message);
     if (status != TD_OK) {
         snprintf(text, sizeof text, "step %d: %s", x->step + 1, why.message);
@@ -194,7 +219,7 @@ static td_status begin_move(session *x, td_error *error)
 static td_status finish(session *x, td_error *error)
 {
     session_dig *d = &x->dig;
-    if (!d->plan) {
+    if (!d->plan || x->world) {
         session_end_step(x);
         return TD_OK;
     }

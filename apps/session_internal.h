@@ -15,7 +15,8 @@
 /* A dig or dump step under work: its moves one after the other. */
 typedef struct session_dig {
     bool busy;
-    td_dig_plan *plan; /* NULL: none yet, or the bucket is emptied by: */
+    const td_dig_plan *plan; /* NULL: none yet, or the bucket is emptied by: */
+    td_dig_plan *own;        /* the same where it is to be freed */
     bool dumps;
     td_task_frame frame;
     td_task_position emptied[2];
@@ -32,6 +33,7 @@ typedef struct session {
     const task_setup *setup;
     const task_inputs *input;
     task_run *run;
+    task_world *world; /* NULL: the session has its own machine and ground */
     struct live *live;
     td_plant plant;
     td_machine *machine; /* behind the plant; NULL: the station is */
@@ -53,6 +55,7 @@ typedef struct session {
     td_trajectory **ahead;           /* (steps) planned when the run began; NULL: not yet, or taken */
     double along_s, pace, pace_rate; /* on the motion; pace: 1 while it runs, 0 while it is held */
     size_t next_event;
+    int motions; /* begun so far */
     double step_s;
     td_pose base, link_from_tool;
     int tool_link;
@@ -66,6 +69,9 @@ typedef struct session {
     td_plant_state state;
     td_plant_command command;
 } session;
+
+/* The machine's readings. */
+td_status session_read(session *x, td_error *error);
 
 /* session_log.c */
 double session_time(const session *x);
@@ -99,6 +105,8 @@ void session_end_dig(session *x);
 /* Whether a step of these kinds is under way; whether it is in a cut. */
 bool session_digs(const session *x);
 bool session_cuts(const session *x);
+/* td_dig_phase of the motion; -1: none of a trench. */
+int session_dig_phase(const session *x);
 /* Adds to q what raises the edge. */
 void session_raise(double *q, const session *x);
 

@@ -43,6 +43,16 @@ td_pose session_tool(const session *x, const double *q, const td_pose *base)
     return td_pose_compose(base, &vehicle);
 }
 
+static td_status watch(session *x, const task_sample *a, td_error *error)
+{
+    const task_world *w = x->world;
+    char why[400] = "";
+    bool deviates = false;
+    if (!w || !w->watch || a->phase != TD_PHASE_EXECUTING) return TD_OK;
+    w->watch(w->user, a, &deviates, why, sizeof why);
+    return deviates ? session_report(x, TD_EVENT_DEVIATION, why, error) : TD_OK;
+}
+
 td_status session_sample(session *x, td_error *error)
 {
     task_run *r = x->run;
@@ -66,7 +76,17 @@ td_status session_sample(session *x, td_error *error)
     a->tool = session_tool(x, x->state.q, &x->state.site_from_vehicle);
     a->pitch_wanted_rad = task_pitch(&a->tool_wanted);
     a->pitch_rad = task_pitch(&a->tool);
-    const bool pressing = x->out.drive == TD_DRIVE_SIMULATE && x->step < x->steps && x->step_begun &&
+    a->motion = x->motions - 1;
+    a->share = x->motion ? fmin(1, x->along_s / fmax(1e-9, td_trajectory_duration(x->motion))) : 1;
+    a->dig_phase = session_dig_phase(x);
+    a->tool_true = a->tool;
+    if (x->world && x->world->zero) {
+        double q[TD_ROBOT_MAX_JOINTS];
+        for (int k = 0; k < x->s->robot->joint_count; k++) q[k] = x->state.q[k] - x->world->zero[k];
+        a->tool_true = session_tool(x, q, &x->state.site_from_vehicle);
+    }
+    const bool pressing = (x->out.drive == TD_DRIVE_SIMULATE || x->out.drive == TD_DRIVE_EXECUTE) &&
+                          x->step < x->steps && x->step_begun &&
                           x->setup->task->step[x->step].kind == TD_TASK_PRESS;
     a->press_n = pressing ? x->press.force_n : NAN;
     a->loose = session_cuts(x) || !x->step_begun || !(x->step < x->steps) ||
@@ -81,7 +101,7 @@ td_status session_sample(session *x, td_error *error)
     a->contact_n = soil.cutting_n;
     a->load_kg = 1e-6 * (double)soil.bucket_mg;
     a->depth_m = soil.depth_m;
-    return TD_OK;
+    return watch(x, a, error);
 }
 
 void session_keep_steady(session *x)

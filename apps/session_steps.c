@@ -118,6 +118,7 @@ static td_status look_ahead(bool *clear, session *x, const td_trajectory *planne
     TD_TRY(status);
     if (found.nearest.link >= 0)
         x->run->dug.clearance_m = fmin(x->run->dug.clearance_m, found.nearest.clearance_m);
+    x->run->dug.probability = fmax(x->run->dug.probability, found.probability);
     if (*clear) return TD_OK;
     snprintf(text, sizeof text, "step %d: %s", x->step + 1, words);
     return session_report(x, TD_EVENT_UNREACHABLE, text, error);
@@ -138,6 +139,7 @@ td_status session_begin_motion(session *x, td_trajectory **planned, bool bucket_
     x->along_s = 0;
     x->pace = 1;
     x->next_event = 0;
+    x->motions++;
     x->pace_rate = pace_rate_of(x);
     x->run->planned_s += td_trajectory_duration(x->motion);
     return TD_OK;

@@ -69,6 +69,10 @@ typedef struct task_sample {
     double press_n;                     /* as the cylinders tell it, while pressing; else NaN */
     double contact_n;        /* of the plane on the tool; on the ground: of the soil that the bucket cuts */
     double load_kg, depth_m; /* on the ground: in the bucket; of its edge below the ground ahead */
+    int motion;              /* number of the motion under way, from 0; -1: none yet */
+    double share;            /* of its length, 0 to 1 */
+    int dig_phase;           /* td_dig_phase of it; -1: of no trench */
+    td_pose tool_true;       /* with the joints as they are, whatever they read */
     bool loose;              /* the tool is not held to its path: in a cut, on a drive, when all is done */
 } task_sample;
 
@@ -83,6 +87,7 @@ typedef struct task_dug {
     int passes, stalls;
     double planned_m3, left_m3; /* of the bank: as the first plan has it; above the floor after the last */
     double clearance_m;         /* least of the motions checked, contact that is meant left out */
+    double probability;         /* of contact that is not meant: the largest of the motions checked */
     double raised_m;            /* the edge, at most, for the force's sake */
     double peak_n, load_kg, mass_error_kg;
 } task_dug;
@@ -120,6 +125,26 @@ struct live;
 /* Runs the scenario with these inputs (NULL: those of the scenario); `base` in place of the scenario's. */
 td_status task_run_session(task_run *run, const scenario *s, td_machine_base base, const task_inputs *inputs,
                            struct live *live, const td_progress *progress, td_error *error);
+
+/* Where a session happens when it is one of several: of the machine that simulates ahead, and of the one that
+ * executes. */
+struct td_dig_plan;
+typedef struct task_world {
+    station *station;   /* lent; the session begins with it as it stands */
+    const double *zero; /* (joints) what a joint reads beyond what it is; NULL: 0 */
+    uint32_t task_id;   /* of all that decides the motion */
+    /* DOWNLOADED: the task is executed; else it is simulated. Left as the session ends. */
+    td_behaviour *logic;
+    const struct td_dig_plan *plan;   /* of the trench, done as it is; NULL: the session plans, */
+    const struct td_dig_floor *floor; /* with the floor of an earlier plan, or NULL, */
+    struct td_dig_plan *made;         /* and leaves its plan here, to be freed */
+    /* Looks at each sample while executing; *deviates: the machine is stopped, `why` is told. May be NULL. */
+    void (*watch)(void *user, const task_sample *sample, bool *deviates, char *why, size_t size);
+    void *user;
+} task_world;
+/* The scenario's task in that world. A trench is planned once: what still stands is for the next look. */
+td_status task_run_in(task_run *run, const scenario *s, task_world *world, const td_progress *progress,
+                      td_error *error);
 
 /* One motion, from q. `base`: site_from_vehicle. *unreachable: the sentence in `error` is the operator's
  * concern, not a fault of the program. */

@@ -15,9 +15,11 @@ struct station {
     station_ground ground;
     td_plant_state start; /* settled */
     td_elevation *first, *now;
+    td_elevation *believed; /* NULL: what is seen is what is */
+    double sigma_zero[TD_ROBOT_MAX_JOINTS];
     td_world *world;
     td_soil *soil;               /* NULL: none */
-    td_clearance_map *clearance; /* of `now`; NULL: to be made */
+    td_clearance_map *clearance; /* of what is seen; NULL: to be made */
     bool changed;                /* the soil moved since `now` was taken */
     int bucket_link;
     td_soil_state felt; /* at the soil's last update */
@@ -225,6 +227,7 @@ void station_free(station **s)
     td_clearance_map_free(&(*s)->clearance);
     td_elevation_free(&(*s)->first);
     td_elevation_free(&(*s)->now);
+    td_elevation_free(&(*s)->believed);
     free(*s);
     *s = NULL;
 }
@@ -234,6 +237,17 @@ td_status station_restart(station *s, double time_s, td_error *error)
     td_plant_state again = s->start;
     again.time_s = time_s;
     return begin(s, &again, error);
+}
+
+td_status station_believe(station *s, const td_elevation *map, const double *sigma_zero, td_error *error)
+{
+    td_elevation *copy = NULL;
+    if (map) TD_TRY(td_elevation_copy(&copy, map, error));
+    td_clearance_map_free(&s->clearance);
+    td_elevation_free(&s->believed);
+    s->believed = copy;
+    for (int k = 0; k < s->robot->joint_count; k++) s->sigma_zero[k] = sigma_zero ? sigma_zero[k] : 0;
+    return TD_OK;
 }
 
 /* ---- the plant ---- */
@@ -306,11 +320,17 @@ td_status station_map(const td_elevation **map, station *s, td_error *error)
     }
     td_elevation *now = NULL;
     TD_TRY(td_soil_map(&now, s->soil, error));
-    td_clearance_map_free(&s->clearance);
+    if (!s->believed) td_clearance_map_free(&s->clearance);
     td_elevation_free(&s->now);
     *map = s->now = now;
     s->changed = false;
     return TD_OK;
+}
+
+td_status station_seen(const td_elevation **map, station *s, td_error *error)
+{
+    *map = s->believed;
+    return *map ? TD_OK : station_map(map, s, error);
 }
 
 const td_elevation *station_first_map(const station *s)
@@ -361,13 +381,14 @@ td_status station_check(bool *accepted, td_clearance *clearance, char *words, si
     td_clearance_options o = td_clearance_options_default();
     td_plant_state state;
     size_t count = 0;
-    TD_TRY(station_map(&map, s, error));
+    TD_TRY(station_seen(&map, s, error));
     if (!s->clearance) TD_TRY(td_clearance_map_new(&s->clearance, map, s->ground.sigma_m, error));
     td_world_state(s->world, &state);
     for (int i = s->bucket_link; i >= 0 && i < s->robot->link_count && bucket_may_touch; i++)
         allowed[count++] = (td_clearance_allowed){i, time_s[0], time_s[samples - 1]};
     const td_clearance_motion motion = {.robot = s->robot,
                                         .site_from_vehicle = state.site_from_vehicle,
+                                        .sigma_zero = s->sigma_zero,
                                         .count = samples,
                                         .time_s = time_s,
                                         .q = q,

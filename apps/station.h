@@ -60,6 +60,9 @@ void station_free(station **s);
 td_status station_restart(station *s, double time_s, td_error *error);
 /* The plant is lent: it lives as long as the station, and its free does nothing. */
 td_plant station_plant(station *s);
+/* What plans and checks of motions see in place of the ground as it is, which somebody only believes to know:
+ * a map, and how sure the joints' zeros are (joints; NULL: quite). Map NULL: the ground as it is. */
+td_status station_believe(station *s, const td_elevation *map, const double *sigma_zero, td_error *error);
 
 td_status station_drive(station *s, double left_m_s, double right_m_s, td_error *error);
 double station_half_gauge(const station *s);
@@ -67,6 +70,8 @@ double station_height(const station *s, double x, double y);
 
 /* The map as it is now; lent until the next call or step. */
 td_status station_map(const td_elevation **map, station *s, td_error *error);
+/* As plans are to see it: as it is believed, or is. Lent likewise. */
+td_status station_seen(const td_elevation **map, station *s, td_error *error);
 /* As it was when the station was made. */
 const td_elevation *station_first_map(const station *s);
 bool station_has_soil(const station *s);

@@ -21,6 +21,7 @@ static const struct {
     {"measure", "cut and fill between two maps with their error, profiles, slopes"},
     {"rectify", "turn stereo pairs so that rows match rows"},
     {"render", "draw what a rig's cameras see of a scene"},
+    {"rehearse", "the closed loop: look, plan, simulate ahead, execute, look again"},
     {"simulate", "a machine moved by given commands, or doing a task: motion, forces, sag"},
     {"servo", "bring the bucket where tags say, by what a camera shows"},
     {"convert", "turn a rig into the files of another tool, or those into a rig"},

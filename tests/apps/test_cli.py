@@ -24,7 +24,7 @@ try:
 except ImportError:
     yaml_reader = None
 
-COMMANDS = ("calibrate", "capture", "check", "compare", "convert", "hand-eye", "match", "measure", "reconstruct", "rectify", "render",
+COMMANDS = ("calibrate", "capture", "check", "compare", "convert", "hand-eye", "match", "measure", "reconstruct", "rectify", "rehearse", "render",
             "simulate", "target", "vehicle")
 JOBS = ("calibrate", "rectify")  # whose results are looked at here; the others' in tests of their own
 ENVIRONMENT = {"PATH": os.path.dirname(PROGRAM) + ":" + os.environ["PATH"]}

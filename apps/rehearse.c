@@ -1,0 +1,110 @@
+/* teledimos rehearse: the closed loop of looking, planning, simulating ahead, executing and looking again. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "apps/rehearse_internal.h"
+#include "core/file.h"
+
+static const char *scenario_path;
+static cli_common common;
+static cli_list gates;
+static bool accept;
+
+static cli_option options[] = {
+    {.type = CLI_HEADING, .name = "The quality gate"},
+    {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
+    {CLI_FLAG, "accept", 0, &accept, NULL, "end with status 0 even when the gate refuses", 0, 0, NULL},
+    CLI_COMMON_OPTIONS(common,
+                       "folder for the products: before.tif, after.tif, truth.tif (after), round-N/ahead and "
+                       "round-N/done with trajectory.csv, events.csv and recording.mcap, result.yaml, "
+                       "report.html, log.jsonl",
+                       "what is true and not known; the cameras' noise"),
+};
+
+static cli_command command = {
+    .name = "rehearse",
+    .summary = "the closed loop: look, plan, simulate ahead, execute, look again",
+    .usage = "REHEARSAL -o DIR [options]",
+    .text =
+        "A trench dug by a machine that sees only with its cameras, in a world that is not quite as it is "
+        "believed to be. REHEARSAL is a file that names a scenario as teledimos simulate takes it (machine, "
+        "soil and task as they are believed; its site is the true world), the stereo head's rig with its "
+        "covariance, and how far the truth is off: masses, soil, joint zeros and calibration are drawn by "
+        "--seed.\n\n"
+        "A round: both cameras are rendered from the true world by the true rig, with the arm in view, and "
+        "fused into a map by the believed one. On that map the trench is planned and the task simulated "
+        "ahead, every motion checked against the map with the probability of a contact that is not meant. "
+        "What was simulated to its end is validated, downloaded with the hash of task, map and start, and "
+        "executed by the true machine, which does the passes of the validated plan from wherever it is "
+        "measured to stand; it sees the soil only where the bucket feels it. Joints, forces and the tool are "
+        "compared with the prediction along the same motion; beyond 6 of their sigma over two seconds, or "
+        "when a motion takes twice its time, the machine is stopped, with the reason. Then it looks again, "
+        "and what still stands above the first plan's floor is planned anew, until it is not worth a pass. "
+        "Sigma of the monitor are those of the same task done by further draws.\n\n"
+        "The rig is checked by the epipolar lines of each place's first pair; a dark camera, too few "
+        "matches, "
+        "a map with holes under the tracks or in the trench stop the loop, with the reason, before anything "
+        "moves. The base's pose is taken as measured without error.\n\n"
+        "Exit status: 0 done, 1 failed, 2 wrong usage, 3 the gate refuses the result (--accept).",
+    .examples = "  teledimos rehearse datasets/zx200/trench.yaml -o rehearsed\n"
+                "  teledimos rehearse datasets/zx200/trench.yaml -o other --seed 7\n",
+    .option = options,
+    .option_count = sizeof options / sizeof *options,
+    .least = 0,
+    .most = 1,
+    .positional = &scenario_path,
+};
+
+static const char *whole_gate_help(void)
+{
+    static char text[3000] = GATE_HELP;
+    gate_help(text, sizeof text, rehearse_gate_defaults, rehearse_gate_count);
+    return text;
+}
+
+static td_status run(rehearse *r, rehearse_setup *setup, job *j)
+{
+    gate_row rows[8];
+    memcpy(rows, rehearse_gate_defaults, rehearse_gate_count * sizeof *rows);
+    for (size_t i = 0; i < gates.count; i++)
+        TD_TRY(gate_set(rows, rehearse_gate_count, gates.value[i], &j->error));
+    TD_TRY(rehearse_read(setup, &r->scenario, scenario_path, &j->error));
+    r->setup = setup;
+    r->seed = (uint64_t)common.seed;
+    r->threads = common.threads;
+    r->progress = &j->progress;
+    td_status status = rehearse_run(r, &j->error);
+    if (status == TD_ERROR_ARGUMENT) status = TD_ERROR_DATA;
+    TD_TRY(status);
+    rehearse_judge(r, rows);
+    if (terminal_interrupted()) return td_fail(&j->error, TD_ERROR_CANCELLED, "interrupted");
+    TD_TRY(td_folder_make(common.output, &j->error));
+    TD_TRY(rehearse_write(r, common.output, &j->error));
+    const job_output output = {rehearse_report, rehearse_table, r};
+    return job_finish(j, rehearse_result(r), &output);
+}
+
+int main(int argc, char **argv)
+{
+    job j;
+    for (size_t i = 0; i < command.option_count; i++)
+        if (options[i].target == &gates) options[i].help = whole_gate_help();
+    int code = job_begin(&j, &command, &common, rehearse_schema, rehearse_schema_count, true, argc, argv);
+    if (code >= 0) return code;
+    rehearse *r = calloc(1, sizeof *r);
+    rehearse_setup *setup = calloc(1, sizeof *setup);
+    td_status status;
+    if (!r || !setup)
+        status = td_fail(&j.error, TD_ERROR_MEMORY, "out of memory");
+    else if (!scenario_path)
+        status = td_fail(&j.error, TD_ERROR_ARGUMENT, "REHEARSAL is missing (usage: teledimos %s %s)",
+                         command.name, command.usage);
+    else
+        status = run(r, setup, &j);
+    code = job_end(&j, status, r && r->gate.verdict == VERDICT_REFUSED && !accept);
+    if (r) rehearse_free(r);
+    free(r);
+    free(setup);
+    return code;
+}

@@ -1,0 +1,113 @@
+/* What was predicted, what was measured, and what is true. */
+#include <math.h>
+#include <stdlib.h>
+
+#include "apps/rehearse_internal.h"
+
+static const double AROUND_M = 0.6; /* the trench: its walls slide in */
+static const double REACH_M = 11;   /* of the machine: where the map is compared with the truth */
+
+static void corners(double polygon[4][2], const td_dig_floor *f)
+{
+    const double along = cos(f->heading_rad), across = sin(f->heading_rad);
+    const double a[2] = {-AROUND_M, f->length_m + AROUND_M}, t = f->width_m / 2 + AROUND_M;
+    for (int i = 0; i < 4; i++) {
+        const double ahead = a[i == 1 || i == 2], aside = i < 2 ? -t : t;
+        polygon[i][0] = f->start[0] + ahead * along - aside * across;
+        polygon[i][1] = f->start[1] + ahead * across + aside * along;
+    }
+}
+
+static bool is_inside(const td_dig_floor *f, double x, double y)
+{
+    const double dx = x - f->start[0], dy = y - f->start[1], c = cos(f->heading_rad), s = sin(f->heading_rad);
+    const double a = c * dx + s * dy, t = c * dy - s * dx;
+    return a >= -AROUND_M && a <= f->length_m + AROUND_M && fabs(t) <= f->width_m / 2 + AROUND_M;
+}
+
+/* By how much the ground is lower around the trench: cells of two maps of one grid. */
+static double cut_between(const td_elevation *before, const td_elevation *after, const td_dig_floor *floor)
+{
+    double sum = 0;
+    for (int row = 0; row < before->rows; row++)
+        for (int c = 0; c < before->columns; c++) {
+            const size_t i = (size_t)row * (size_t)before->columns + (size_t)c;
+            const double lower = (double)before->height[i] - (double)after->height[i];
+            if (lower > 0 && is_inside(floor, before->origin[0] + c * before->cell_m,
+                                       before->origin[1] + row * before->cell_m))
+                sum += lower;
+        }
+    return sum * before->cell_m * before->cell_m;
+}
+
+static double filled_area(const td_elevation *m, const td_dig_floor *floor)
+{
+    size_t count = 0;
+    for (int row = 0; row < m->rows; row++)
+        for (int c = 0; c < m->columns; c++)
+            count += m->provenance[(size_t)row * (size_t)m->columns + (size_t)c] == TD_CELL_SIMULATED &&
+                     is_inside(floor, m->origin[0] + c * m->cell_m, m->origin[1] + row * m->cell_m);
+    return (double)count * m->cell_m * m->cell_m;
+}
+
+static void compare_map(rehearse *r)
+{
+    const double *at = r->state.site_from_vehicle.t;
+    const td_elevation *m = r->map;
+    double square = 0;
+    size_t count = 0, within = 0;
+    for (int row = 0; row < m->rows; row++)
+        for (int c = 0; c < m->columns; c++) {
+            const size_t i = (size_t)row * (size_t)m->columns + (size_t)c;
+            const double x = m->origin[0] + c * m->cell_m, y = m->origin[1] + row * m->cell_m;
+            const double off = (double)m->height[i] - td_elevation_at(r->true_after, x, y, NULL);
+            if (m->provenance[i] == TD_CELL_SIMULATED) continue;
+            if (!isfinite(off) || !isfinite(m->sigma[i]) || hypot(x - at[0], y - at[1]) > REACH_M) continue;
+            square += off * off;
+            within += fabs(off) <= (double)m->sigma[i];
+            count++;
+        }
+    r->map_rms_m = count ? sqrt(square / (double)count) : NAN;
+    r->map_share = count ? (double)within / (double)count : NAN;
+}
+
+static void compare_tip(rehearse *r, rehearse_round *round)
+{
+    double d[MONITOR_MOST], tip;
+    for (size_t i = 0; i < round->done.count; i++) {
+        const task_sample *a = round->done.sample + i;
+        if (!monitor_is_free(a) || a->phase != TD_PHASE_EXECUTING) continue;
+        if (!monitor_compare(d, &tip, &round->ahead, a, r->scenario.robot->joint_count)) continue;
+        round->tip_square += tip * tip;
+        round->tip_most_m = fmax(round->tip_most_m, tip);
+        round->tip_count++;
+    }
+}
+
+td_status rehearse_compare(rehearse *r, td_error *error)
+{
+    double polygon[4][2];
+    td_volume_options o = td_volume_options_default();
+    td_error why = {0};
+    compare_map(r);
+    r->volume = (td_volume){.cut_m3 = NAN, .sigma_cut_m3 = NAN};
+    for (int i = 0; i < r->round_count; i++) {
+        rehearse_round *round = r->round + i;
+        if (!round->executed) continue;
+        round->predicted_m3 = cut_between(r->map_before, round->ahead.after, &r->floor);
+        r->predicted_m3 = round->predicted_m3;
+        compare_tip(r, round);
+    }
+    if (!(r->planned_m3 > 0)) return TD_OK;
+    r->dug_m3 = cut_between(r->true_before, r->true_after, &r->floor);
+    corners(polygon, &r->floor);
+    o.polygon = (const double(*)[2])polygon;
+    o.polygon_count = 4;
+    const td_status status = td_volume_between(&r->volume, NULL, r->map_before, r->map, &o, &why);
+    if (status == TD_ERROR_MEMORY) return td_fail(error, status, "%s", why.message);
+    if (status != TD_OK) r->volume = (td_volume){.cut_m3 = NAN, .sigma_cut_m3 = NAN};
+    /* What was not seen is off together. */
+    r->filled_m2 = filled_area(r->map, &r->floor);
+    r->sigma_volume_m3 = hypot(r->volume.sigma_cut_m3, r->filled_m2 * r->scatter_m);
+    return TD_OK;
+}

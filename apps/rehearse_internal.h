@@ -1,0 +1,166 @@
+/* teledimos rehearse, between its files. */
+#ifndef TELEDIMOS_APPS_REHEARSE_INTERNAL_H
+#define TELEDIMOS_APPS_REHEARSE_INTERNAL_H
+
+#include "apps/look.h"
+#include "apps/simulate_task.h"
+#include "core/random.h"
+#include "recon/volume.h"
+#include "servo/dig_plan.h"
+
+enum { REHEARSE_MAX_ROUNDS = 8, REHEARSE_MAX_POSES = 8, REHEARSE_MAX_DRAWS = 16, REHEARSE_MAX_FILM = 24 };
+
+/* What is true and not known. */
+typedef struct rehearse_truth {
+    double mass_sigma; /* relative, of each link's mass, inertia with it */
+    double soil_sigma; /* relative, of cohesion and adhesion; friction and density by a quarter of it */
+    double soil_times; /* by which cohesion and adhesion are larger besides */
+    double rig_sigma;  /* by which the rig's covariance is multiplied, of standard deviations */
+    double joint_sigma_rad;
+    int dark_look; /* from that look on, counted from 1, the cameras see nothing; 0: never */
+    int stone_count;
+    td_world_stone stone[STATION_MAX_STONES]; /* that no map shows */
+} rehearse_truth;
+
+typedef struct rehearse_setup {
+    char name[TD_NAME_SIZE], path[1024], scenario_path[1100], rig_path[1100];
+    rehearse_truth truth;
+    int frames, pose_count; /* pairs taken in each of these poses of the arm, after digging */
+    double pose[REHEARSE_MAX_POSES][TD_ROBOT_MAX_JOINTS];
+    int first, last; /* of the scene's frames, from 0: the looks before */
+    int draws, rounds;
+} rehearse_setup;
+
+/* One machine on one soil as they may be. */
+typedef struct rehearse_draw {
+    td_robot *robot;
+    station_ground ground;
+    double zero[TD_ROBOT_MAX_JOINTS]; /* reading less truth */
+} rehearse_draw;
+
+/* Of predicted and actual, sample by sample along the same motion. Quantities: the joints (rad or m), the
+ * forces (N), the tool (m, in the site: x, y, z). */
+enum {
+    MONITOR_CLASSES = 7, /* the phases of a pass, and all others */
+    MONITOR_MOST = 2 * TD_ROBOT_MAX_JOINTS + 3,
+    MONITOR_WINDOW = 20
+};
+typedef struct monitor {
+    int joints;
+    const task_run *predicted;
+    double sigma[MONITOR_CLASSES][MONITOR_MOST]; /* of actual less predicted, over each phase */
+    int motion_count;
+    double (*of_motion)[MONITOR_MOST]; /* (motion_count) the same over each motion, at least its phase's */
+    size_t *samples;                   /* (motion_count) while learning */
+    size_t counts[MONITOR_CLASSES], tip_count;
+    double tip_square;
+    double sigma_tip_m; /* of the true tool's distance, above the ground */
+    /* while watching: */
+    int motion;
+    double since_s;
+    int filled, next;
+    double off[MONITOR_WINDOW][MONITOR_MOST]; /* in sigma */
+    double ratio[MONITOR_MOST];               /* largest so far of the window's mean */
+    double late;                              /* largest so far of a motion's time over what was predicted */
+    double alarm;                             /* the ratio from which on the machine is stopped */
+} monitor;
+/* From the same task simulated with other draws. */
+td_status monitor_begin(monitor *m, const task_run *predicted, int joints, double alarm, td_error *error);
+void monitor_learn(monitor *m, const task_run *drawn);
+void monitor_learnt(monitor *m);
+void monitor_free(monitor *m);
+void monitor_watch(void *self, const task_sample *sample, bool *deviates, char *why, size_t size);
+/* In no cut, nor on the way in and out of the ground. */
+bool monitor_is_free(const task_sample *a);
+/* Actual less predicted (values, 2 joints + 3), false: nothing was predicted there. */
+bool monitor_compare(double *difference, double *tip_true, const task_run *predicted, const task_sample *a,
+                     int joints);
+
+typedef struct rehearse_round {
+    task_run ahead, done;
+    td_dig_plan *plan;
+    monitor monitor;
+    bool executed;
+    double predicted_m3;           /* around the trench */
+    double tip_square, tip_most_m; /* of true less predicted, above the ground */
+    size_t tip_count;
+} rehearse_round;
+
+typedef struct rehearse {
+    const rehearse_setup *setup;
+    scenario scenario; /* as believed */
+    td_scene_file *scene;
+    td_rig *rig, *rig_true;
+    rehearse_draw truth;
+    double sigma_q[TD_ROBOT_MAX_JOINTS];
+    uint64_t seed;
+    int threads;
+    const td_progress *progress;
+    look *look;
+    int looks;
+    double look_s;
+    double epipolar_px, sigma_epipolar_px;
+    double matched_least;
+    double scatter_m; /* of ground as it was predicted, against what was then seen of it */
+    td_image *film[REHEARSE_MAX_FILM];
+    int film_count;
+    station *station;     /* the machine as it truly is */
+    td_plant_state state; /* as it reads */
+    td_elevation *map, *map_before;
+    td_elevation *true_before, *true_after;
+    td_behaviour logic;
+    int round_count;
+    rehearse_round round[REHEARSE_MAX_ROUNDS + 1];
+    td_dig_floor floor;
+    double planned_m3, left_m3;
+    bool stopped; /* safely, with: */
+    char why[600];
+    double map_rms_m, map_share, clearance_m, probability, real_time;
+    double dug_m3, predicted_m3, mass_error_kg;
+    td_volume volume;
+    double sigma_volume_m3, filled_m2; /* of the volume; around the trench: not seen, taken as predicted */
+    gate_result gate;
+} rehearse;
+
+td_status rehearse_read(rehearse_setup *setup, scenario *s, const char *path, td_error *error);
+/* stream 0: the truth; further ones: what the truth may be. */
+td_status rehearse_draw_make(rehearse_draw *draw, const rehearse *r, uint64_t stream, td_error *error);
+void rehearse_draw_free(rehearse_draw *draw);
+td_status rehearse_run(rehearse *r, td_error *error);
+void rehearse_free(rehearse *r);
+
+/* rehearse_look.c */
+td_status rehearse_look_first(rehearse *r, td_error *error);
+/* Through the arm's poses, each a task of its own; with what has been dug. */
+td_status rehearse_look_again(rehearse *r, td_error *error);
+
+/* rehearse_imagine.c */
+/* The machine on the map, standing as the true one is measured to stand. `draw`: as it may be; NULL: as it is
+ * believed to be. */
+td_status rehearse_imagine(station **made, const rehearse *r, const rehearse_draw *draw,
+                           const td_elevation *map, td_error *error);
+
+/* rehearse_task.c */
+/* The scenario's task simulated ahead on the map, validated, downloaded, executed and watched. */
+td_status rehearse_ahead(rehearse *r, rehearse_round *round, td_error *error);
+td_status rehearse_execute(rehearse *r, rehearse_round *round, td_error *error);
+/* The arm alone, to joints, likewise. */
+td_status rehearse_move(rehearse *r, const double *q, td_error *error);
+/* The behaviour is handed one order of the operator. */
+void rehearse_order(rehearse *r, td_event event, uint32_t task_id);
+void rehearse_stop(rehearse *r, const char *format, ...) TD_PRINTF(2, 3);
+
+/* rehearse_compare.c */
+td_status rehearse_compare(rehearse *r, td_error *error);
+
+extern const td_schema_row rehearse_schema[];
+extern const size_t rehearse_schema_count;
+extern const gate_row rehearse_gate_defaults[];
+extern const size_t rehearse_gate_count;
+void rehearse_judge(rehearse *r, const gate_row *rows);
+json_t *rehearse_result(const rehearse *r);
+void rehearse_table(const void *done);
+td_status rehearse_report(const void *done, const char *path, td_error *error);
+td_status rehearse_write(const rehearse *r, const char *folder, td_error *error);
+
+#endif

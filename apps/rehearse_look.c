@@ -1,0 +1,194 @@
+/* Looking: at first from where the machine came, later in poses of the arm, with what has been dug. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "apps/rehearse_internal.h"
+
+static const double DARK_GREY = 6, DARK_GAIN = 1e-3, LEAST_MATCHED = 0.1;
+/* Matches scatter by 0.04 px themselves; three times that and the rig's own sigma is another rig. */
+static const double EPIPOLAR_TIMES = 3, EPIPOLAR_NOISE_PX = 0.04;
+
+static void keep(rehearse *r)
+{
+    td_image *small = NULL;
+    const td_image *left = look_left(r->look);
+    if (r->film_count == REHEARSE_MAX_FILM || !left) return;
+    if (td_image_shrink(&small, left, 1, NULL) == TD_OK) r->film[r->film_count++] = small;
+}
+
+/* An image that is no image says so itself; few matches are a sign of it, or of a rig that is wrong. */
+static void judge(rehearse *r, const look_result *seen)
+{
+    static const char *const sides[] = {"left", "right"};
+    for (int i = 0; i < 2; i++)
+        if (seen->grey[i] < DARK_GREY)
+            rehearse_stop(r,
+                          "look %d: the %s camera is dark (its mean is %.1f grey levels): check it; the map "
+                          "is as it was before",
+                          r->looks, sides[i], seen->grey[i]);
+    r->matched_least = fmin(r->matched_least, seen->shares.matched);
+    if (!r->stopped && seen->shares.matched < LEAST_MATCHED)
+        rehearse_stop(
+            r,
+            "look %d: only %.1f %% of the pixels are matched: the cameras see too little, or are not "
+            "where the rig says",
+            r->looks, 100 * seen->shares.matched);
+}
+
+/* The rig against the first pair of each place: the cameras may have been moved since they were calibrated.
+ */
+static td_status check_rig(rehearse *r, td_error *error)
+{
+    double rms = NAN, sigma = NAN;
+    td_error why = {0};
+    const td_status status = look_epipolar(&rms, &sigma, r->look, &why);
+    if (status == TD_ERROR_MEMORY) return td_fail(error, status, "%s", why.message);
+    if (status != TD_OK) {
+        rehearse_stop(r, "look %d: the rig cannot be checked: %s", r->looks, why.message);
+        return TD_OK;
+    }
+    const double allowed = EPIPOLAR_TIMES * hypot(EPIPOLAR_NOISE_PX, isfinite(sigma) ? sigma : 0);
+    if (!(rms <= r->epipolar_px)) r->epipolar_px = rms, r->sigma_epipolar_px = sigma;
+    if (rms > allowed)
+        rehearse_stop(
+            r,
+            "look %d: matches lie %.2f px off their epipolar lines, where the rig's covariance allows "
+            "%.2f px: the calibration is not that of this head; calibrate it again",
+            r->looks, rms, allowed);
+    return TD_OK;
+}
+
+static td_status one(rehearse *r, const td_pose *site_from_vehicle, const double *q, bool first,
+                     td_error *error)
+{
+    look_result seen;
+    if (r->stopped) return TD_OK;
+    r->looks++;
+    if (r->setup->truth.dark_look && r->looks >= r->setup->truth.dark_look)
+        look_view(r->look)->gain = DARK_GAIN;
+    for (int k = 0; k < r->scenario.robot->joint_count; k++) r->scene->scene.q[k] = q[k] - r->truth.zero[k];
+    r->scene->scene.site_from_vehicle = *site_from_vehicle;
+    if (!td_progress_report(r->progress, "looking", (size_t)r->looks, (size_t)r->looks + 1))
+        return td_fail(error, TD_ERROR_CANCELLED, "interrupted");
+    TD_TRY(look_now(&seen, r->look, site_from_vehicle, q, NULL, (uint64_t)r->looks, (double)r->looks, error));
+    r->look_s += seen.match_s + seen.fuse_s;
+    judge(r, &seen);
+    if (!first) return TD_OK;
+    keep(r);
+    return r->stopped ? TD_OK : check_rig(r, error);
+}
+
+static td_status take_map(rehearse *r, td_error *error)
+{
+    td_elevation_free(&r->map);
+    return look_map(&r->map, r->look, error);
+}
+
+static td_status make_look(rehearse *r, td_error *error)
+{
+    const td_scene_image *i = &r->scene->image;
+    const station_ground *g = &r->scenario.ground;
+    look_options o = look_options_default();
+    o.view.samples = i->samples;
+    o.view.blur_px = i->blur_px;
+    o.view.vignetting = i->vignetting;
+    o.view.gain = i->gain;
+    o.view.offset = i->offset;
+    o.view.read_noise = i->read_noise;
+    o.view.shot_noise = i->shot_noise;
+    o.view.seed = r->seed;
+    o.view.threads = o.dense.threads = o.fusion.threads = r->threads;
+    o.fusion.cell_m = g->cell_m;
+    if (g->has_region) memcpy(o.fusion.region, g->region, sizeof g->region);
+    for (int k = 0; k < TD_ROBOT_MAX_JOINTS; k++) r->sigma_q[k] = r->setup->truth.joint_sigma_rad;
+    o.sigma_q = r->sigma_q;
+    return look_new(&r->look, &r->scene->scene, r->rig_true, r->rig, r->scene->mount_link, &o, error);
+}
+
+td_status rehearse_look_first(rehearse *r, td_error *error)
+{
+    const int count = (int)r->scene->frame_count;
+    const int last = r->setup->last < 0 ? count - 1 : r->setup->last;
+    if (last >= count)
+        return td_fail(error, TD_ERROR_DATA, "%s: look.before: the scene has %d frames only", r->setup->path,
+                       count);
+    td_pose unused;
+    td_scene_pose(r->scene, (size_t)r->setup->first, &unused);
+    TD_TRY(make_look(r, error));
+    for (int i = r->setup->first; i <= last && !r->stopped; i++)
+        TD_TRY(one(r, &r->scene->frame[i].site_from_vehicle, r->scene->frame[i].q, true, error));
+    return r->stopped ? TD_OK : take_map(r, error);
+}
+
+/* ---- again ---- */
+
+static const double LEAST_SCATTER_M = 0.03;
+
+static int by_value(const void *a, const void *b)
+{
+    const double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* What the prediction is off where it moved soil and the ground is seen: two thirds are less, for at the
+ * trench's walls a cell more or less is half a metre. */
+static td_status scatter(rehearse *r, const td_elevation *predicted, td_error *error)
+{
+    const td_elevation *m = r->map;
+    const size_t cells = (size_t)m->columns * (size_t)m->rows;
+    double *off = malloc(cells * sizeof *off);
+    size_t seen = 0;
+    if (!off) return td_fail(error, TD_ERROR_MEMORY, "no memory for a map");
+    for (size_t i = 0; i < cells; i++) {
+        const double d = (double)m->height[i] - (double)predicted->height[i];
+        if (predicted->provenance[i] == TD_CELL_SIMULATED && !isnan(d)) off[seen++] = fabs(d);
+    }
+    qsort(off, seen, sizeof *off, by_value);
+    r->scatter_m = fmax(LEAST_SCATTER_M, seen ? off[(size_t)(0.68 * (double)seen)] : 0);
+    free(off);
+    return TD_OK;
+}
+
+/* What the cameras cannot see, as the ground behind a wall of the trench, is taken as it was predicted, with
+ * that as its sigma. */
+static void fill(rehearse *r, const td_elevation *predicted)
+{
+    td_elevation *m = r->map;
+    const size_t cells = (size_t)m->columns * (size_t)m->rows;
+    for (size_t i = 0; i < cells; i++) {
+        if (!isnan(m->height[i]) || isnan(predicted->height[i])) continue;
+        m->height[i] = predicted->height[i];
+        m->sigma[i] = (float)r->scatter_m;
+        m->provenance[i] = TD_CELL_SIMULATED;
+    }
+}
+
+/* The scene's ground becomes what the machine has made of it. */
+static td_status change_ground(rehearse *r, td_error *error)
+{
+    td_elevation *ground = r->scene->scene.ground;
+    const td_elevation *now = NULL;
+    TD_TRY(station_map(&now, r->station, error));
+    memcpy(ground->height, now->height,
+           (size_t)ground->columns * (size_t)ground->rows * sizeof *ground->height);
+    look_ground_changed(r->look, 0, 0, ground->columns, ground->rows);
+    return TD_OK;
+}
+
+td_status rehearse_look_again(rehearse *r, td_error *error)
+{
+    for (int i = 0; i < r->setup->pose_count && !r->stopped; i++) {
+        TD_TRY(rehearse_move(r, r->setup->pose[i], error));
+        if (r->stopped) return TD_OK;
+        TD_TRY(change_ground(r, error));
+        for (int k = 0; k < r->setup->frames && !r->stopped; k++)
+            TD_TRY(one(r, &r->state.site_from_vehicle, r->state.q, k == 0, error));
+    }
+    if (r->stopped) return TD_OK;
+    TD_TRY(take_map(r, error));
+    const td_elevation *predicted = r->round[r->round_count - 1].ahead.after;
+    TD_TRY(scatter(r, predicted, error));
+    fill(r, predicted);
+    return TD_OK;
+}
