@@ -110,6 +110,14 @@ static bool bracket(int *first, double *part, double u, int count)
     return true;
 }
 
+/* Bilinear between four cells that are all inside. */
+static double between(const float *cell, int columns, double a, double b)
+{
+    const double below = (1 - a) * cell[0] + a * cell[1],
+                 above = (1 - a) * cell[columns] + a * cell[columns + 1];
+    return (1 - b) * below + b * above;
+}
+
 double td_elevation_at(const td_elevation *map, double x, double y, double *sigma)
 {
     int column, row;
@@ -118,13 +126,15 @@ double td_elevation_at(const td_elevation *map, double x, double y, double *sigm
     if (!bracket(&column, &a, (x - map->origin[0]) / map->cell_m, map->columns) ||
         !bracket(&row, &b, (y - map->origin[1]) / map->cell_m, map->rows))
         return NAN;
+    const size_t first = (size_t)row * (size_t)map->columns + (size_t)column;
+    if (!sigma && a > 0 && b > 0) return between(map->height + first, map->columns, a, b);
     for (int k = 0; k < 4; k++) {
         const int dx = k & 1, dy = k >> 1;
         const double weight = (dx ? a : 1 - a) * (dy ? b : 1 - b);
         if (weight == 0) continue; /* on the border it lies outside */
-        const size_t cell = (size_t)(row + dy) * (size_t)map->columns + (size_t)(column + dx);
+        const size_t cell = first + (size_t)dy * (size_t)map->columns + (size_t)dx;
         height += weight * map->height[cell];
-        if (!(map->sigma[cell] <= worst) && !isnan(worst)) worst = map->sigma[cell];
+        if (sigma && !(map->sigma[cell] <= worst) && !isnan(worst)) worst = map->sigma[cell];
     }
     if (sigma && !isnan(height)) *sigma = worst;
     return height;

@@ -167,14 +167,13 @@ static void wanted(double *value, double *given, const td_machine *m, double t, 
         if (m->actuator[k].cylinder) given[k] *= part;
 }
 
-void td_hydraulics_rate(double *force_rate, double *valve_rate, double *push, const td_machine *m, double t,
-                        const td_machine_view *view, const double *lever)
+/* Rates at commands `value` whose valves are set to `given`. */
+static void rate(double *force_rate, double *valve_rate, double *push, const td_machine *m,
+                 const td_machine_view *view, const double *lever, const double *value, const double *given)
 {
     const int n = m->robot.joint_count;
     const double lag = m->options.valve_s, *dq = view->nu + 6;
     const bool by_force = m->command.kind == TD_COMMAND_FORCE;
-    double value[TD_ROBOT_MAX_JOINTS], given[TD_ROBOT_MAX_JOINTS];
-    wanted(value, given, m, t, lever);
     for (int k = 0; k < n; k++) {
         const td_actuator *a = m->actuator + k;
         valve_rate[k] = (given[k] - view->valve[k]) / lag;
@@ -189,6 +188,14 @@ void td_hydraulics_rate(double *force_rate, double *valve_rate, double *push, co
             push[k] = a->sign * held(a->sign * (view->force[k] + m->options.oil_s * force_rate[k]), limit);
         }
     }
+}
+
+void td_hydraulics_rate(double *force_rate, double *valve_rate, double *push, const td_machine *m, double t,
+                        const td_machine_view *view, const double *lever)
+{
+    double value[TD_ROBOT_MAX_JOINTS], given[TD_ROBOT_MAX_JOINTS];
+    wanted(value, given, m, t, lever);
+    rate(force_rate, valve_rate, push, m, view, lever, value, given);
 }
 
 /* How a joint's valve setting changes with its lever: only a rate within its limits goes through it. */
@@ -209,7 +216,7 @@ void td_hydraulics_slopes(td_hydraulics_slope *slope, double *push, const td_mac
     double value[TD_ROBOT_MAX_JOINTS], given[TD_ROBOT_MAX_JOINTS], force_rate[TD_ROBOT_MAX_JOINTS],
         valve_rate[TD_ROBOT_MAX_JOINTS];
     wanted(value, given, m, t, lever);
-    td_hydraulics_rate(force_rate, valve_rate, push, m, t, view, lever);
+    rate(force_rate, valve_rate, push, m, view, lever, value, given);
     for (int k = 0; k < m->robot.joint_count; k++) {
         const double free = view->force[k] + o->oil_s * force_rate[k];
         td_hydraulics_slope s = {.valve = {0, 0, 0, -1 / o->valve_s}};

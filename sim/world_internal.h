@@ -17,6 +17,7 @@ typedef struct td_world_body {
     dBodyID ode;                     /* NULL: it cannot move */
     dJointID motor;                  /* hinge or slider to the parent */
     td_pose pose;                    /* site_from_body */
+    double turn[9];                  /* its rotation */
     double at[3], way[3];            /* centre of mass, axis of the joint (site) */
     double push[6], step_push[6];    /* force, moment about the centre of mass (site): a call's, a step's */
 } td_world_body;

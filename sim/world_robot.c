@@ -129,6 +129,16 @@ td_status td_world_build_robot(td_world *w, td_error *error)
 
 /* ---- kinematics ---- */
 
+static void to_site(double out[3], const td_world_body *b, const double v[3])
+{
+    for (int i = 0; i < 3; i++) out[i] = dot(b->turn + 3 * i, v);
+}
+
+static void from_site(double out[3], const td_world_body *b, const double v[3])
+{
+    for (int i = 0; i < 3; i++) out[i] = b->turn[i] * v[0] + b->turn[3 + i] * v[1] + b->turn[6 + i] * v[2];
+}
+
 void td_world_place(td_world *w)
 {
     for (int i = 0; i < w->body_count; i++) {
@@ -143,9 +153,11 @@ void td_world_place(td_world *w)
             }
             const td_pose at = td_pose_compose(&w->body[b->parent].pose, &b->parent_from_body);
             b->pose = td_pose_compose(&at, &motion);
-            td_pose_rotate(b->way, &b->pose, b->axis);
         }
-        td_pose_transform(b->at, &b->pose, b->com);
+        td_pose_rotation(b->turn, &b->pose);
+        to_site(b->way, b, b->axis);
+        to_site(b->at, b, b->com);
+        for (int c = 0; c < 3; c++) b->at[c] += b->pose.t[c];
     }
 }
 
@@ -226,15 +238,15 @@ void td_world_base_velocity(double v[3], const td_world *w, const double at[3])
 static void push_products(const td_world_body *b, const body_motion *m)
 {
     double own_w[3], own_a[3], spin[3], moment[3], out[3], h[3];
-    td_base_from_site(own_w, &b->pose, m->omega);
-    td_base_from_site(own_a, &b->pose, m->alpha);
+    from_site(own_w, b, m->omega);
+    from_site(own_a, b, m->alpha);
     for (int i = 0; i < 3; i++) {
         h[i] = dot(b->inertia + 3 * i, own_w);
         moment[i] = dot(b->inertia + 3 * i, own_a);
     }
     td_machine_cross(spin, own_w, h);
     for (int i = 0; i < 3; i++) moment[i] += spin[i];
-    td_pose_rotate(out, &b->pose, moment);
+    to_site(out, b, moment);
     dBodyAddForce(b->ode, -b->mass * m->a[0], -b->mass * m->a[1], -b->mass * m->a[2]);
     dBodyAddTorque(b->ode, -out[0], -out[1], -out[2]);
 }
