@@ -9,6 +9,9 @@ import tempfile
 
 PROGRAM = os.environ["TELEDIMOS"]
 SOURCE = os.environ["TELEDIMOS_SOURCE"]
+COMMANDS = ("calibrate", "capture", "check", "compare", "convert", "hand-eye", "match", "measure", "reconstruct", "rectify",
+            "rehearse", "render", "servo", "simulate", "target", "vehicle")
+ENVIRONMENT = {"PATH": os.path.dirname(PROGRAM) + ":" + os.environ["PATH"]}  # where examples find the program
 FULL = os.environ.get("TELEDIMOS_FULL", "0") not in ("", "0")
 SANITIZED = "debug" in PROGRAM
 VERBOSE = os.environ.get("TELEDIMOS_VERBOSE", "0") not in ("", "0")

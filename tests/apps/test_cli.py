@@ -1,7 +1,7 @@
-"""Proves: the commands speak as their help says. Help, examples, man pages, completion, wrong usage; the result's keys, in
+"""Proves: the commands speak as their help says. Help, man pages, completion, wrong usage; the result's keys, in
 JSON and YAML and in the schema, with units; silence where it is asked for; a progress bar on a terminal only.
 
-Reference: the help itself (its examples are run as typed), the schema, groff, bash, and a terminal of one line. Blind to:
+Reference: the help itself (test_examples.py runs its examples), the schema, groff, bash, and a terminal of one line. Blind to:
 whether the texts are well written; terminals other than those that know carriage return and "erase to the end".
 """
 
@@ -16,18 +16,15 @@ import threading
 
 import cv2
 
-from common import (IMAGES, OPENCV_SET, PROGRAM, SANITIZED, SOURCE, check, fault_of_sentence, finish, image_set, points_set,
-                    read_points, run, shortened, skip)
+from common import (COMMANDS, ENVIRONMENT, IMAGES, OPENCV_SET, PROGRAM, SANITIZED, SOURCE, check, fault_of_sentence, finish, image_set,
+                    points_set, read_points, run, shortened, skip)
 
 try:
     import yaml as yaml_reader
 except ImportError:
     yaml_reader = None
 
-COMMANDS = ("calibrate", "capture", "check", "compare", "convert", "hand-eye", "match", "measure", "reconstruct", "rectify", "rehearse", "render",
-            "simulate", "target", "vehicle")
 JOBS = ("calibrate", "rectify")  # whose results are looked at here; the others' in tests of their own
-ENVIRONMENT = {"PATH": os.path.dirname(PROGRAM) + ":" + os.environ["PATH"]}
 
 
 # ---- help ----
@@ -51,29 +48,6 @@ def test_help():
         listed = run(name, "--complete")[1].split()
         check(set(listed) == {"--" + o for o in options if o != "help"} and {"json", "output"} <= set(options),
               f"{name}: --help and completion list the same {len(listed)} options")
-
-
-def test_examples():
-    """Every example of a help, in their order, in a folder that holds nothing but the datasets."""
-    with tempfile.TemporaryDirectory() as folder:
-        os.symlink(os.path.join(SOURCE, "datasets"), os.path.join(folder, "datasets"))
-        for name in COMMANDS:
-            examples = re.findall(r"^  (teledimos .*)$", run(name, "--help")[1].split("Examples:")[1].split("\n\n")[0], re.M)
-            check(len(examples) >= 2, f"{name} --help has {len(examples)} examples")
-            for example in examples:
-                done = subprocess.run(["bash", "-c", example], cwd=folder, env={**os.environ, **ENVIRONMENT},
-                                      capture_output=True, encoding="utf-8", timeout=300)
-                out = re.search(r"-o (\S+)", example)
-                made = os.path.join(folder, out[1]) if out else folder
-                whole = not os.path.isdir(made) or name not in JOBS or os.path.exists(os.path.join(made, "result.yaml"))
-                # A machine as busy as one that tests misses deadlines, which ends a live session, and its replay, as it should.
-                late = "live" in example and done.returncode == 3 and "deadline was missed" in done.stdout
-                check((done.returncode == 0 or late) and os.path.exists(made) and whole,
-                      f"{example} ended with {done.returncode} {shortened(done.stderr)}")
-            for out in os.listdir(folder):
-                if out != "datasets":
-                    path = os.path.join(folder, out)
-                    (shutil.rmtree if os.path.isdir(path) else os.remove)(path)
 
 
 def test_man_and_completion():
@@ -402,6 +376,5 @@ test_units(kinds)
 test_yaml(kinds)
 test_silence()
 if not SANITIZED:
-    test_examples()
     test_progress()
 finish()
