@@ -154,6 +154,7 @@ int main(int argc, char **argv)
     bench_integrator(&b);
     bench_clock(&b);
     bench_world(&b);
+    bench_loop(&b);
     bench_soil(&b);
     bench_servo(&b);
     bench_trajectory(&b);

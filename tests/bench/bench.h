@@ -51,6 +51,8 @@ void bench_charuco(const bench *b);
 void bench_calibrate(const bench *b);
 /* bench_interest.c */
 void bench_interest(const bench *b);
+/* bench_loop.c */
+void bench_loop(const bench *b);
 /* bench_map.c */
 void bench_map(const bench *b);
 /* bench_next_view.c */
