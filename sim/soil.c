@@ -98,11 +98,13 @@ td_status td_soil_new(td_soil **soil, const td_elevation *map, const td_soil_pre
     s->last_ground = NAN;
     s->state.disturbed[2] = s->state.disturbed[3] = -1;
     s->cell = calloc(n, sizeof *s->cell);
+    s->surface = malloc(n * sizeof *s->surface);
     s->awake = calloc(n, sizeof *s->awake);
-    td_status status = s->cell && s->awake
+    td_status status = s->cell && s->surface && s->awake
                            ? td_elevation_copy(&s->map, map, error)
                            : td_fail(error, TD_ERROR_MEMORY, "no memory for the soil of %zu cells", n);
     if (status == TD_OK) status = set_units(s, error);
+    for (size_t i = 0; status == TD_OK && i < n; i++) s->surface[i] = (double)map->height[i];
     if (status != TD_OK) td_soil_free(&s);
     *soil = s;
     return status;
@@ -116,6 +118,7 @@ void td_soil_free(td_soil **soil)
     free(s->found.place);
     free(s->parcel);
     free(s->cell);
+    free(s->surface);
     free(s->awake);
     td_elevation_free(&s->map);
     free(s);
@@ -129,10 +132,10 @@ double soil_ground(const td_soil *s, double x, double y)
     const double u = round((x - s->map->origin[0]) / s->map->cell_m);
     const double v = round((y - s->map->origin[1]) / s->map->cell_m);
     if (!(u >= 0 && v >= 0 && u < s->map->columns && v < s->map->rows)) return NAN;
-    return soil_surface(s, soil_index(s, (int)u, (int)v));
+    return s->surface[soil_index(s, (int)u, (int)v)];
 }
 
-void soil_disturb(td_soil *s, soil_place p)
+static void disturb(td_soil *s, soil_place p)
 {
     int *d = s->state.disturbed;
     if (d[2] < 0) {
@@ -144,6 +147,16 @@ void soil_disturb(td_soil *s, soil_place p)
     if (p.row < d[1]) d[1] = p.row;
     if (p.column > d[2]) d[2] = p.column;
     if (p.row > d[3]) d[3] = p.row;
+}
+
+void soil_change(td_soil *s, soil_place p, int64_t taken, int64_t loose)
+{
+    const size_t i = soil_index(s, p.column, p.row);
+    soil_cell *cell = s->cell + i;
+    cell->taken += taken;
+    cell->loose += loose;
+    s->surface[i] = soil_bank(s, i) + (double)cell->loose * s->loose_m;
+    disturb(s, p);
 }
 
 /* First and last cell whose centres may lie between two coordinates. */
@@ -227,8 +240,7 @@ bool soil_spread(td_soil *s, const soil_strip *strip, int64_t mass)
         const soil_place p = s->found.place[k];
         const int64_t part = mass / count + (k < mass % count);
         if (part == 0) break;
-        s->cell[soil_index(s, p.column, p.row)].loose += part;
-        soil_disturb(s, p);
+        soil_change(s, p, 0, part);
         soil_wake(s, p);
     }
     return true;
@@ -250,8 +262,7 @@ td_status td_soil_pour(td_soil *soil, int column, int row, int64_t mass_mg, td_e
                        column, row);
     if (mass_mg == 0) return TD_OK;
     soil->poured_mg += mass_mg;
-    soil->cell[i].loose += mass_mg;
-    soil_disturb(soil, (soil_place){column, row});
+    soil_change(soil, (soil_place){column, row}, 0, mass_mg);
     soil_wake(soil, (soil_place){column, row});
     return TD_OK;
 }
@@ -378,7 +389,7 @@ td_soil_balance td_soil_balance_of(const td_soil *soil)
 
 double td_soil_height(const td_soil *soil, int column, int row)
 {
-    return soil_inside(soil, column, row) ? soil_surface(soil, soil_index(soil, column, row)) : NAN;
+    return soil_inside(soil, column, row) ? soil->surface[soil_index(soil, column, row)] : NAN;
 }
 
 double td_soil_loose_height(const td_soil *soil, int column, int row)
@@ -393,13 +404,12 @@ double td_soil_height_at(const td_soil *soil, double x, double y)
     const double u = (x - m->origin[0]) / m->cell_m, v = (y - m->origin[1]) / m->cell_m;
     if (!(u >= 0 && v >= 0 && u <= m->columns - 1 && v <= m->rows - 1)) return NAN;
     const int c = (int)u, r = (int)v;
-    double height = 0;
-    for (int k = 0; k < 4; k++) {
-        const int dx = k & 1, dy = k >> 1;
-        const double weight = (dx ? u - c : 1 - u + c) * (dy ? v - r : 1 - v + r);
-        if (weight > 0) height += weight * td_soil_height(soil, c + dx, r + dy);
-    }
-    return height;
+    const double a = u - c, b = v - r, *below = soil->surface + soil_index(soil, c, r),
+                 *above = below + m->columns;
+    if (a > 0 && b > 0)
+        return (1 - b) * ((1 - a) * below[0] + a * below[1]) + b * ((1 - a) * above[0] + a * above[1]);
+    if (a > 0) return (1 - a) * below[0] + a * below[1]; /* on the border the others lie outside */
+    return b > 0 ? (1 - b) * below[0] + b * above[0] : below[0];
 }
 
 td_status td_soil_map(td_elevation **map, const td_soil *soil, td_error *error)
@@ -410,7 +420,7 @@ td_status td_soil_map(td_elevation **map, const td_soil *soil, td_error *error)
         for (int c = d[0]; c <= d[2]; c++) {
             const size_t i = soil_index(soil, c, r);
             if (soil->cell[i].taken == 0 && soil->cell[i].loose == 0) continue;
-            (*map)->height[i] = (float)soil_surface(soil, i);
+            (*map)->height[i] = (float)soil->surface[i];
             (*map)->sigma[i] = NAN;
             (*map)->time_s[i] = NAN;
             (*map)->count[i] = 0;

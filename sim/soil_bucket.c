@@ -129,8 +129,8 @@ typedef void (*cell_action)(td_soil *s, soil_place p, double z, int64_t *sum);
 static void cut_cell(td_soil *s, soil_place p, double z, int64_t *sum)
 {
     const size_t i = soil_index(s, p.column, p.row);
-    soil_cell *cell = s->cell + i;
-    const double above = soil_surface(s, i) - z, bank_above = soil_bank(s, i) - z;
+    const soil_cell *cell = s->cell + i;
+    const double above = s->surface[i] - z, bank_above = soil_bank(s, i) - z;
     if (!(above > 0)) return;
     int64_t loose = bank_above > 0 ? cell->loose : llround(above / s->loose_m);
     int64_t bank = bank_above > 0 ? llround(bank_above / s->bank_m) : 0;
@@ -146,10 +146,8 @@ static void cut_cell(td_soil *s, soil_place p, double z, int64_t *sum)
         s->told_floor = true;
     }
     if (loose == 0 && bank == 0) return;
-    cell->loose -= loose;
-    cell->taken += bank;
+    soil_change(s, p, bank, -loose);
     *sum += loose + bank;
-    soil_disturb(s, p);
     soil_wake(s, p);
 }
 
@@ -157,15 +155,13 @@ static void cut_cell(td_soil *s, soil_place p, double z, int64_t *sum)
 static void press_cell(td_soil *s, soil_place p, double z, int64_t *sum)
 {
     const size_t i = soil_index(s, p.column, p.row);
-    soil_cell *cell = s->cell + i;
-    const double above = soil_surface(s, i) - z, gain = s->loose_m - s->bank_m;
+    const soil_cell *cell = s->cell + i;
+    const double above = s->surface[i] - z, gain = s->loose_m - s->bank_m;
     if (!(above > 0) || !(gain > 0) || cell->loose == 0) return;
     const double wanted = ceil(above / gain);
     const int64_t mass = wanted < (double)cell->loose ? (int64_t)wanted : cell->loose;
-    cell->loose -= mass;
-    cell->taken -= mass;
+    soil_change(s, p, -mass, -mass);
     *sum += mass;
-    soil_disturb(s, p);
     soil_wake(s, p);
 }
 

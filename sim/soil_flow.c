@@ -46,8 +46,8 @@ void soil_wake(td_soil *s, soil_place p)
 static double lower_of(int *way, const td_soil *s, size_t i, size_t stride, bool has_before, bool has_after,
                        double height)
 {
-    const double before = has_before ? height - soil_surface(s, i - stride) : 0;
-    const double after = has_after ? height - soil_surface(s, i + stride) : 0;
+    const double before = has_before ? height - s->surface[i - stride] : 0;
+    const double after = has_after ? height - s->surface[i + stride] : 0;
     const bool turn = s->sweep < SOIL_CLASSES;
     *way = before > after || (before == after && turn) || !(after > 0) ? -1 : 1;
     const double drop = *way < 0 ? before : after;
@@ -69,14 +69,12 @@ static bool collapse(td_soil *s, soil_place p, size_t i, const size_t to[2])
 {
     const double bank = soil_bank(s, i), most = s->steep_m * (1 + PLAY) + s->stand_m;
     double drop[2];
-    for (int k = 0; k < 2; k++) drop[k] = to[k] == i ? 0 : fmax(0, bank - soil_surface(s, to[k]));
+    for (int k = 0; k < 2; k++) drop[k] = to[k] == i ? 0 : fmax(0, bank - s->surface[to[k]]);
     const double square = drop[0] * drop[0] + drop[1] * drop[1];
     if (!(square > most * most)) return false;
     int64_t mass = (int64_t)ceil((sqrt(square) - most) / 2 / s->bank_m);
     if (mass > s->column_mg - s->cell[i].taken) mass = s->column_mg - s->cell[i].taken;
-    s->cell[i].taken += mass;
-    s->cell[i].loose += mass;
-    soil_disturb(s, p);
+    soil_change(s, p, mass, mass);
     return mass > 0;
 }
 
@@ -101,7 +99,7 @@ static void masses_of(int64_t mass[2], const td_soil *s, const double drop[2], i
 static bool relax(td_soil *s, soil_place p)
 {
     const size_t i = soil_index(s, p.column, p.row), columns = (size_t)s->map->columns;
-    const double height = soil_surface(s, i), limit = s->steep_m * (1 + PLAY);
+    const double height = s->surface[i], limit = s->steep_m * (1 + PLAY);
     int way[2];
     const double drop[2] = {lower_of(way, s, i, 1, p.column > 0, p.column + 1 < s->map->columns, height),
                             lower_of(way + 1, s, i, columns, p.row > 0, p.row + 1 < s->map->rows, height)};
@@ -110,17 +108,16 @@ static bool relax(td_soil *s, soil_place p)
     const size_t to[2] = {drop[0] > 0 ? (way[0] < 0 ? i - 1 : i + 1) : i,
                           drop[1] > 0 ? (way[1] < 0 ? i - columns : i + columns) : i};
     const bool broke = collapse(s, p, i, to);
-    int64_t mass[2];
+    int64_t mass[2], given = 0;
     if (s->cell[i].loose == 0) return broke;
     masses_of(mass, s, drop, s->cell[i].loose);
     if (mass[0] <= 0 && mass[1] <= 0) return broke;
     for (int k = 0; k < 2; k++) {
         if (mass[k] <= 0) continue;
-        s->cell[i].loose -= mass[k];
-        s->cell[to[k]].loose += mass[k];
-        soil_disturb(s, q[k]);
+        soil_change(s, q[k], 0, mass[k]);
+        given += mass[k];
     }
-    soil_disturb(s, p);
+    soil_change(s, p, 0, -given);
     soil_wake(s, p); /* with its neighbours, so also those that were given to */
     return true;
 }

@@ -53,6 +53,7 @@ typedef struct soil_motion {
 struct td_soil {
     td_elevation *map; /* as given */
     soil_cell *cell;
+    double *surface; /* height of each cell, as it follows from map and cell; NaN: unknown */
     uint8_t *awake;
     td_soil_preset preset;
     td_soil_bucket bucket;
@@ -95,12 +96,6 @@ static inline double soil_bank(const td_soil *s, size_t i)
     return (double)s->map->height[i] - (double)s->cell[i].taken * s->bank_m;
 }
 
-/* The surface; NaN: unknown. */
-static inline double soil_surface(const td_soil *s, size_t i)
-{
-    return soil_bank(s, i) + (double)s->cell[i].loose * s->loose_m;
-}
-
 /* The surface of the cell around (x, y); NaN: unknown or outside. */
 double soil_ground(const td_soil *s, double x, double y);
 
@@ -108,8 +103,8 @@ bool soil_list_add(soil_list *list, soil_place p); /* false: out of memory */
 /* First column and row, last column and row of the cells whose centres are in the rectangle; false: none. */
 bool soil_span(int box[4], const td_soil *s, const double low[2], const double high[2]);
 
-/* soil.c: keeps the disturbed rectangle. */
-void soil_disturb(td_soil *s, soil_place p);
+/* soil.c: all changes of a cell: adds to what is taken of its bank, and to what is loose on it. */
+void soil_change(td_soil *s, soil_place p, int64_t taken, int64_t loose);
 /* The cells whose centres are in the strip, known and unknown, in s->found; what is outside the map is not.
  */
 void soil_find(td_soil *s, const soil_strip *strip);
