@@ -32,8 +32,8 @@ const size_t servo_gate_count = sizeof servo_gate_defaults / sizeof *servo_gate_
          "of the tip at rest from where the board says, in truth"},                                          \
         {path "sigma_tip_m", TD_SCHEMA_REALS, true, true, "of that; x, y, z of the vehicle"},                \
         {path "tip_error_sigmas", TD_SCHEMA_REAL, true, true, "sqrt(e' S^-1 e)"},                            \
-        {path "bias_px", TD_SCHEMA_REAL, true, true,                                                         \
-         "sigma of what corners are off by beyond their noise, by the targets' residuals"},                  \
+        {path "corner_sigma_px", TD_SCHEMA_REAL, true, true,                                                 \
+         "sigma of the corners, by the targets' residuals"},                                                 \
         {path "lost_s", TD_SCHEMA_REAL, true, false, "without sight of the bucket's tags"},                  \
         {path "least_height_m", TD_SCHEMA_REAL, true, true, "of the tip over the ground"},                   \
     {                                                                                                        \
@@ -130,7 +130,7 @@ static void set_run(json_t *o, const servo_run *run)
     set(o, "tip_error_m", td_json_real(length(run->tip_error)));
     set(o, "sigma_tip_m", td_json_reals(run->sigma_tip, 3));
     set(o, "tip_error_sigmas", td_json_real(run->sigmas));
-    set(o, "bias_px", td_json_real(run->bias_px));
+    set(o, "corner_sigma_px", td_json_real(run->corner_px));
     set(o, "lost_s", td_json_real(run->lost_s));
     set(o, "least_height_m", td_json_real(run->clearance_m));
     set(o, "limit_violations", json_integer(run->limit_violations));

@@ -198,8 +198,7 @@ static double refine(td_pose *pose, double covariance[36], const servo_points *p
     return td_invert_spd(covariance, a, 6, NULL) == TD_OK ? cost : INFINITY;
 }
 
-/* What the residuals have beyond the corners' sigma: what detector and image are off by. */
-static void measure_excess(servo_points *points, const td_camera *camera)
+static void measure_residuals(servo_points *points, const td_camera *camera)
 {
     double square = 0;
     int n = 0;
@@ -215,7 +214,7 @@ static void measure_excess(servo_points *points, const td_camera *camera)
     }
     points->freedoms = 2 * n - 6;
     points->variance_px2 /= n;
-    points->excess_px2 = square / points->freedoms - points->variance_px2;
+    points->residual_px2 = square / points->freedoms;
 }
 
 bool servo_pose(servo_points *points, const servo_target *target, const td_camera *camera)
@@ -239,7 +238,7 @@ bool servo_pose(servo_points *points, const servo_target *target, const td_camer
         memcpy(points->covariance, covariance, sizeof covariance);
     }
     points->has_pose = isfinite(best);
-    if (points->has_pose) measure_excess(points, camera);
+    if (points->has_pose) measure_residuals(points, camera);
     return points->has_pose;
 }
 
@@ -285,10 +284,11 @@ td_status servo_view_look(servo_look *look, servo_view *view, const td_plant_sta
                           bool hidden, td_error *error)
 {
     td_tag *tag = NULL;
+    const size_t known = (size_t)(view->s->bucket.count + view->s->board.count);
     size_t count = 0;
     TD_TRY(render(view, state, frame, hidden, error));
     const double began = terminal_now_s();
-    TD_TRY(td_tags_find(&tag, &count, view->image, view->s->dictionary, 1, error));
+    TD_TRY(td_tags_find(&tag, &count, view->image, view->s->dictionary, 1, known, error));
     take(&look->bucket, &view->s->bucket, tag, count);
     take(&look->board, &view->s->board, tag, count);
     free(tag);
