@@ -42,8 +42,8 @@ typedef struct runner {
     double rate[TD_ROBOT_MAX_JOINTS], last_rate[TD_ROBOT_MAX_JOINTS];
     size_t boards; /* seen */
     td_pose root_from_board;
-    double board_image[36];        /* covariance of its left perturbation, were the corners' sigma 1 px */
-    double residual_px2, freedoms; /* sums over the looks */
+    double board_image[36]; /* covariance of its left perturbation, were the corners' sigma 1 px */
+    double residual_px2[2], freedoms[2]; /* of bucket and board: sums over the looks, with that memory */
     double see_s;
     size_t looks;
 } runner;
@@ -225,11 +225,13 @@ static bool is_hidden(const runner *r)
            r->state.time_s < s->hide_from_s + s->hide_for_s - 1e-9;
 }
 
-static void add_residuals(runner *r, const servo_points *points)
+static void add_residuals(runner *r, int which, const servo_points *points)
 {
+    const double left = 1 - r->s->options.limits.period_s / MEMORY_S;
     if (!points->has_pose) return;
-    r->residual_px2 += points->freedoms * points->residual_px2;
-    r->freedoms += points->freedoms;
+    r->residual_px2[which] *= left, r->freedoms[which] *= left;
+    r->residual_px2[which] += points->freedoms * points->residual_px2;
+    r->freedoms[which] += points->freedoms;
 }
 
 static td_status look_now(runner *r, td_error *error)
@@ -237,8 +239,8 @@ static td_status look_now(runner *r, td_error *error)
     TD_TRY(r->plant.state(r->plant.self, &r->state, error));
     TD_TRY(servo_view_look(&r->look, r->view, &r->state, r->frame++, is_hidden(r), error));
     average_board(r);
-    add_residuals(r, &r->look.bucket);
-    add_residuals(r, &r->look.board);
+    add_residuals(r, 0, &r->look.bucket);
+    add_residuals(r, 1, &r->look.board);
     r->see_s += r->look.seconds;
     r->looks++;
     return TD_OK;
@@ -358,7 +360,8 @@ static void judge_tip(runner *r)
     tip_error(run->tip_error, r);
     run->sigmas = NAN;
     for (int i = 0; i < 3; i++) run->sigma_tip[i] = NAN;
-    run->corner_px = r->freedoms > 0 ? sqrt(r->residual_px2 / r->freedoms) : NAN;
+    const double freedoms = r->freedoms[0] + r->freedoms[1];
+    run->corner_px = freedoms > 0 ? sqrt((r->residual_px2[0] + r->residual_px2[1]) / freedoms) : NAN;
     if (!servo_met(run) || !r->look.bucket.has_pose || !tip_covariance(covariance, r, run->corner_px)) return;
     for (int i = 0; i < 3; i++) run->sigma_tip[i] = sqrt(covariance[4 * i]);
     if (td_invert_spd(inverse, covariance, 3, NULL) != TD_OK) return;
