@@ -125,8 +125,9 @@ td_status servo_log_write(const servo_run *run, const td_robot *robot, const cha
 typedef struct servo_starts {
     size_t count;
     servo_run *run;
-    int met, judged, covered; /* of those met: with a sigma; within 3 of it */
-    double rms_sigmas;        /* sqrt(mean(sigmas^2) / 3); 1: sigma is what it should be */
+    int met, judged, covered;                 /* of those met: with a sigma; within 3 of it */
+    double rms_sigmas;                        /* sqrt(mean(sigmas^2) / 3); 1: sigma is what it should be */
+    double steady_px[3], tip_m[3], sigmas[3]; /* of those met: median, 90 %, largest */
 } servo_starts;
 void servo_starts_free(servo_starts *starts);
 td_status servo_starts_run(servo_starts *starts, const servo_scenario *s, int count, uint64_t seed,

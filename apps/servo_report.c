@@ -133,6 +133,26 @@ static double length(const double v[3])
     return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
 }
 
+static void report_quantiles(td_report *r, const servo_starts *s)
+{
+    static const char *const columns[] = {"of those that converged", "median", "9 of 10 within", "largest"};
+    const struct {
+        const char *name;
+        const double *value;
+        double scale;
+    } row[] = {{"steady error in the image, px", s->steady_px, 1},
+               {"error of the tip, mm", s->tip_m, 1e3},
+               {"the same by its sigma", s->sigmas, 1}};
+    if (s->met == 0) return;
+    td_report_table_begin(r, columns, sizeof columns / sizeof *columns);
+    for (size_t i = 0; i < sizeof row / sizeof *row; i++) {
+        td_report_cell(r, TD_TONE_PLAIN, "%s", row[i].name);
+        for (int k = 0; k < 3; k++) td_report_cell(r, TD_TONE_PLAIN, "%.2f", row[i].scale * row[i].value[k]);
+        td_report_row_end(r);
+    }
+    td_report_table_end(r);
+}
+
 static void report_starts(td_report *r, const servo_job *j)
 {
     static const char *const columns[] = {"start",    "outcome", "time (s)", "steady (px)",
@@ -143,6 +163,7 @@ static void report_starts(td_report *r, const servo_job *j)
                    "%d of %zu drawn starts converged. Of those, %d of %d tips are within 3 sigma; the errors "
                    "are %.2f of their sigma (1: sigma is right).",
                    s->met, s->count, s->covered, s->judged, s->rms_sigmas);
+    report_quantiles(r, s);
     td_report_table_begin(r, columns, sizeof columns / sizeof *columns);
     for (size_t i = 0; i < s->count; i++) {
         const servo_run *run = s->run + i;

@@ -150,7 +150,42 @@ static void do_unit(size_t index, void *user)
     td_image_free(&u->run.image);
 }
 
-static void count_up(servo_starts *starts)
+static int compare(const void *a, const void *b)
+{
+    const double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* Median, 90 %, largest: the first of the sorted that so many do not exceed. */
+static void find_quantiles(double quantile[3], double *value, int count)
+{
+    static const double share[3] = {0.5, 0.9, 1};
+    if (count) qsort(value, (size_t)count, sizeof *value, compare);
+    for (int i = 0; i < 3; i++) quantile[i] = count ? value[(int)ceil(share[i] * count) - 1] : NAN;
+}
+
+static td_status find_all_quantiles(servo_starts *starts)
+{
+    double *value = malloc(3 * starts->count * sizeof *value);
+    double *const steady = value, *const tip = steady + starts->count, *const sigmas = tip + starts->count;
+    int met = 0, judged = 0;
+    if (!value) return TD_ERROR_MEMORY;
+    for (size_t i = 0; i < starts->count; i++) {
+        const servo_run *run = starts->run + i;
+        const double *e = run->tip_error;
+        if (!servo_met(run)) continue;
+        steady[met] = run->steady_px;
+        tip[met++] = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]);
+        if (!isnan(run->sigmas)) sigmas[judged++] = run->sigmas;
+    }
+    find_quantiles(starts->steady_px, steady, met);
+    find_quantiles(starts->tip_m, tip, met);
+    find_quantiles(starts->sigmas, sigmas, judged);
+    free(value);
+    return TD_OK;
+}
+
+static td_status count_up(servo_starts *starts)
 {
     double square = 0;
     for (size_t i = 0; i < starts->count; i++) {
@@ -163,6 +198,7 @@ static void count_up(servo_starts *starts)
         square += run->sigmas * run->sigmas;
     }
     starts->rms_sigmas = starts->judged ? sqrt(square / 3 / starts->judged) : NAN;
+    return find_all_quantiles(starts);
 }
 
 td_status servo_starts_run(servo_starts *starts, const servo_scenario *s, int count, uint64_t seed,
@@ -179,8 +215,8 @@ td_status servo_starts_run(servo_starts *starts, const servo_scenario *s, int co
             status = td_fail(error, c.unit[i].status, "start %d: %s", i + 1, c.unit[i].error.message);
     }
     free(c.unit);
-    if (status == TD_OK)
-        count_up(starts);
+    if (status == TD_OK && count_up(starts) != TD_OK)
+        status = td_fail(error, TD_ERROR_MEMORY, "no memory for starts");
     else if (status == TD_ERROR_CANCELLED && error && !error->message[0])
         td_fail(error, status, "interrupted");
     return status;

@@ -288,6 +288,10 @@ static td_status render(servo_view *v, const td_plant_state *state, uint64_t fra
     TD_TRY(td_stereo_view_move(v->view, error));
     const td_pose rig = rig_at(v->s, state->q),
                   site_from_rig = td_pose_compose(&state->site_from_vehicle, &rig);
+    if (hidden && v->image) {
+        memset(v->image->data, 0, (size_t)v->image->width * (size_t)v->image->height);
+        return TD_OK;
+    }
     TD_TRY(td_stereo_view_render(&seen, v->view, v->s->scene->rig, v->s->camera, &site_from_rig, frame,
                                  &v->options, error));
     td_image_free(&v->image);

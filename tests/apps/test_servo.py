@@ -206,7 +206,7 @@ def test_full(folder):
     s = json.loads(text)["starts"]
     print({k: v for k, v in s.items() if k != "runs"})
     check(s["converged"] >= 190, f"{s['converged']} of 200 converge")
-    check(s["steady_error_px_max"] <= 0.3, f"steady error {s['steady_error_px_max']} px")
+    check(s["steady_error_px"][2] <= 0.3, f"steady error {s['steady_error_px']} px")
     check(s["within_3_sigma_share"] >= 0.95, f"{s['within_3_sigma_share']} within 3 sigma")
     check(0.5 < s["sigma_ratio"] < 1.5, f"errors are {s['sigma_ratio']} of their sigma")
     check(all(r["limit_violations"] == 0 for r in s["runs"]), "no limit is broken")
