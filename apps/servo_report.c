@@ -84,7 +84,12 @@ static void report_paths(td_report *r, const servo_run *run)
 {
     picture p;
     double x[4], y[4];
-    if (!run->image || run->count == 0 || !begin(&p, run)) return;
+    if (!run->image) return;
+    if (run->count == 0) {
+        td_report_picture(r, run->image, 640, "the camera's last image", NULL, 0);
+        return;
+    }
+    if (!begin(&p, run)) return;
     const servo_sample *last = run->sample + run->count - 1;
     for (int i = 0; i < 4; i++) {
         x[i] = last->goal[2 * i], y[i] = last->goal[2 * i + 1];
@@ -187,15 +192,13 @@ td_status servo_report(const void *done, const char *path, td_error *error)
     if (!r) return td_fail(error, TD_ERROR_MEMORY, "no memory for the report");
     gate_report(r, &j->gate);
     td_report_figures_begin(r);
-    td_report_figure(r, "outcome", servo_met(run) ? TD_TONE_GOOD : TD_TONE_BAD, "%s",
-                     td_servo_phase_name(run->phase));
     td_report_figure(r, "time", TD_TONE_PLAIN, "%.1f s", run->time_s);
     td_report_figure(r, "steady error", TD_TONE_PLAIN, "%.3f px", run->steady_px);
     td_report_figure(r, "tip off by", TD_TONE_PLAIN, "%.2f mm", 1e3 * length(run->tip_error));
     td_report_figure(r, "of its sigma", TD_TONE_PLAIN, "%.2f", run->sigmas);
-    td_report_figure(r, "out of sight", TD_TONE_PLAIN, "%.1f s", run->lost_s);
+    if (run->lost_s > 0) td_report_figure(r, "out of sight", TD_TONE_PLAIN, "%.1f s", run->lost_s);
     td_report_figures_end(r);
-    if (run->reason[0]) td_report_text(r, "%s", run->reason);
+    if (servo_met(run)) td_report_text(r, "%s: %s", td_servo_phase_name(run->phase), run->reason);
     report_paths(r, run);
     report_plots(r, j);
     if (j->starts.count) report_starts(r, j);
