@@ -4,11 +4,12 @@ Counted anew from motion.csv: the joints' places, speeds and accelerations again
 steady error, which is to stay within 0.3 px; that the machine brakes and holds while nothing is seen, and goes on. Where the
 tip then is comes from the joints by a forward kinematics of its own: within 30 mm of where the board says, which is what
 suspension and ground (known to the program, not to this test) leave; the program's own tip error, in truth, within 3.8 sigma
-(999 of 1000 for three dimensions and a right sigma) and 20 mm. The same bytes at one thread and at two, of a run that is cut short and
-of a drawn start, which lies in its ranges and keeps every limit. A goal out of reach, a board out of sight, wrong scenarios:
-refused, with the reason.
-How many converge is for TELEDIMOS_FULL=1: 200 starts, of which 95 of 100 converge with a steady error of 0.3 px at most, and of these
-95 of 100 tips within 3 sigma (97 where sigma is right), the errors' root mean square within half and one and a half of sigma.
+(999 of 1000 for three dimensions and a right sigma) and 20 mm. The same bytes at one thread and at two, of a run that is cut
+short and of a drawn start, which lies in its ranges and keeps every limit. A goal out of reach, a board out of sight, wrong
+scenarios: refused, with the reason.
+How many converge is for TELEDIMOS_FULL=1: 200 starts, of which 95 of 100 converge with a steady error of 0.3 px at most, and of
+these 95 of 100 tips within 3 sigma (97 where sigma is right), the errors' root mean square within half and one and a half of
+sigma.
 
 Blind to: cameras whose calibration is wrong; corners that lie on each other; real images."""
 
