@@ -51,7 +51,7 @@ typedef struct servo_points {
     td_pose camera_from_target;
     double covariance[36]; /* of its left perturbation, by the corners' sigma */
     double variance_px2;   /* mean of the corners' sigma^2 */
-    double excess_px2;     /* mean of the residuals' squares, by degree of freedom, less that */
+    double residual_px2;   /* mean of the residuals' squares, by degree of freedom */
     int freedoms;          /* degrees of freedom of the residuals */
 } servo_points;
 
@@ -106,7 +106,7 @@ typedef struct servo_run {
     double steady_px;    /* largest while it settled; NaN: it did not */
     double tip_error[3]; /* m, vehicle's axes: where the tip is at rest against where the board says */
     double sigma_tip[3]; /* m */
-    double bias_px;      /* sigma of what corners are off by, the same in each image */
+    double corner_px;    /* sigma of the corners by the targets' residuals */
     double sigmas;       /* of the error: sqrt(e' S^-1 e); NaN: no sigma */
     double clearance_m;  /* least of the tip over the ground */
     int limit_violations;
@@ -125,8 +125,9 @@ td_status servo_log_write(const servo_run *run, const td_robot *robot, const cha
 typedef struct servo_starts {
     size_t count;
     servo_run *run;
-    int met, judged, covered; /* of those met: with a sigma; within 3 of it */
-    double rms_sigmas;        /* sqrt(mean(sigmas^2) / 3); 1: sigma is what it should be */
+    int met, judged, covered;                 /* of those met: with a sigma; within 3 of it */
+    double rms_sigmas;                        /* sqrt(mean(sigmas^2) / 3); 1: sigma is what it should be */
+    double steady_px[3], tip_m[3], sigmas[3]; /* of those met: median, 90 %, largest */
 } servo_starts;
 void servo_starts_free(servo_starts *starts);
 td_status servo_starts_run(servo_starts *starts, const servo_scenario *s, int count, uint64_t seed,

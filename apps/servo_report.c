@@ -84,7 +84,12 @@ static void report_paths(td_report *r, const servo_run *run)
 {
     picture p;
     double x[4], y[4];
-    if (!run->image || run->count == 0 || !begin(&p, run)) return;
+    if (!run->image) return;
+    if (run->count == 0) {
+        td_report_picture(r, run->image, 640, "the camera's last image", NULL, 0);
+        return;
+    }
+    if (!begin(&p, run)) return;
     const servo_sample *last = run->sample + run->count - 1;
     for (int i = 0; i < 4; i++) {
         x[i] = last->goal[2 * i], y[i] = last->goal[2 * i + 1];
@@ -133,6 +138,26 @@ static double length(const double v[3])
     return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
 }
 
+static void report_quantiles(td_report *r, const servo_starts *s)
+{
+    static const char *const columns[] = {"of those that converged", "median", "9 of 10 within", "largest"};
+    const struct {
+        const char *name;
+        const double *value;
+        double scale;
+    } row[] = {{"steady error in the image, px", s->steady_px, 1},
+               {"error of the tip, mm", s->tip_m, 1e3},
+               {"the same by its sigma", s->sigmas, 1}};
+    if (s->met == 0) return;
+    td_report_table_begin(r, columns, sizeof columns / sizeof *columns);
+    for (size_t i = 0; i < sizeof row / sizeof *row; i++) {
+        td_report_cell(r, TD_TONE_PLAIN, "%s", row[i].name);
+        for (int k = 0; k < 3; k++) td_report_cell(r, TD_TONE_PLAIN, "%.2f", row[i].scale * row[i].value[k]);
+        td_report_row_end(r);
+    }
+    td_report_table_end(r);
+}
+
 static void report_starts(td_report *r, const servo_job *j)
 {
     static const char *const columns[] = {"start",    "outcome", "time (s)", "steady (px)",
@@ -143,6 +168,7 @@ static void report_starts(td_report *r, const servo_job *j)
                    "%d of %zu drawn starts converged. Of those, %d of %d tips are within 3 sigma; the errors "
                    "are %.2f of their sigma (1: sigma is right).",
                    s->met, s->count, s->covered, s->judged, s->rms_sigmas);
+    report_quantiles(r, s);
     td_report_table_begin(r, columns, sizeof columns / sizeof *columns);
     for (size_t i = 0; i < s->count; i++) {
         const servo_run *run = s->run + i;
@@ -166,15 +192,13 @@ td_status servo_report(const void *done, const char *path, td_error *error)
     if (!r) return td_fail(error, TD_ERROR_MEMORY, "no memory for the report");
     gate_report(r, &j->gate);
     td_report_figures_begin(r);
-    td_report_figure(r, "outcome", servo_met(run) ? TD_TONE_GOOD : TD_TONE_BAD, "%s",
-                     td_servo_phase_name(run->phase));
     td_report_figure(r, "time", TD_TONE_PLAIN, "%.1f s", run->time_s);
     td_report_figure(r, "steady error", TD_TONE_PLAIN, "%.3f px", run->steady_px);
     td_report_figure(r, "tip off by", TD_TONE_PLAIN, "%.2f mm", 1e3 * length(run->tip_error));
     td_report_figure(r, "of its sigma", TD_TONE_PLAIN, "%.2f", run->sigmas);
-    td_report_figure(r, "out of sight", TD_TONE_PLAIN, "%.1f s", run->lost_s);
+    if (run->lost_s > 0) td_report_figure(r, "out of sight", TD_TONE_PLAIN, "%.1f s", run->lost_s);
     td_report_figures_end(r);
-    if (run->reason[0]) td_report_text(r, "%s", run->reason);
+    if (servo_met(run)) td_report_text(r, "%s: %s", td_servo_phase_name(run->phase), run->reason);
     report_paths(r, run);
     report_plots(r, j);
     if (j->starts.count) report_starts(r, j);

@@ -32,8 +32,8 @@ const size_t servo_gate_count = sizeof servo_gate_defaults / sizeof *servo_gate_
          "of the tip at rest from where the board says, in truth"},                                          \
         {path "sigma_tip_m", TD_SCHEMA_REALS, true, true, "of that; x, y, z of the vehicle"},                \
         {path "tip_error_sigmas", TD_SCHEMA_REAL, true, true, "sqrt(e' S^-1 e)"},                            \
-        {path "bias_px", TD_SCHEMA_REAL, true, true,                                                         \
-         "sigma of what corners are off by beyond their noise, by the targets' residuals"},                  \
+        {path "corner_sigma_px", TD_SCHEMA_REAL, true, true,                                                 \
+         "sigma of the corners, by the targets' residuals"},                                                 \
         {path "lost_s", TD_SCHEMA_REAL, true, false, "without sight of the bucket's tags"},                  \
         {path "least_height_m", TD_SCHEMA_REAL, true, true, "of the tip over the ground"},                   \
     {                                                                                                        \
@@ -65,8 +65,9 @@ const td_schema_row servo_schema[] = {
     {"starts.within_3_sigma_share", TD_SCHEMA_REAL, true, true, "tip errors of those that converged"},
     {"starts.sigma_ratio", TD_SCHEMA_REAL, true, true,
      "root mean square of the tip's errors over their sigma: 1 where sigma is right"},
-    {"starts.steady_error_px_max", TD_SCHEMA_REAL, true, true, "of those that converged"},
-    {"starts.tip_error_m_max", TD_SCHEMA_REAL, true, true, "of those that converged"},
+    {"starts.steady_error_px", TD_SCHEMA_REALS, true, true, "of those that converged: median, 90 %, largest"},
+    {"starts.tip_error_m", TD_SCHEMA_REALS, true, true, "the same of the tip"},
+    {"starts.tip_error_sigmas", TD_SCHEMA_REALS, true, true, "the same, by sigma"},
     {"starts.runs", TD_SCHEMA_ARRAY, true, false, "each"},
     {"starts.runs[].start_rad", TD_SCHEMA_REALS, true, false, "joints in the robot's order"},
     RUN_ROWS("starts.runs[]."),
@@ -130,7 +131,7 @@ static void set_run(json_t *o, const servo_run *run)
     set(o, "tip_error_m", td_json_real(length(run->tip_error)));
     set(o, "sigma_tip_m", td_json_reals(run->sigma_tip, 3));
     set(o, "tip_error_sigmas", td_json_real(run->sigmas));
-    set(o, "bias_px", td_json_real(run->bias_px));
+    set(o, "corner_sigma_px", td_json_real(run->corner_px));
     set(o, "lost_s", td_json_real(run->lost_s));
     set(o, "least_height_m", td_json_real(run->clearance_m));
     set(o, "limit_violations", json_integer(run->limit_violations));
@@ -159,7 +160,6 @@ static json_t *starts_json(const servo_job *j)
 {
     const servo_starts *s = &j->starts;
     const size_t n = (size_t)j->scenario.scene->scene.robot->joint_count;
-    double steady = NAN, tip = NAN;
     json_t *o = json_object(), *runs = json_array();
     for (size_t i = 0; i < s->count; i++) {
         const servo_run *run = s->run + i;
@@ -167,15 +167,15 @@ static json_t *starts_json(const servo_job *j)
         set(one, "start_rad", td_json_reals(run->start, n));
         set_run(one, run);
         json_array_append_new(runs, one);
-        if (servo_met(run)) steady = fmax(steady, run->steady_px), tip = fmax(tip, length(run->tip_error));
     }
     set(o, "count", json_integer((json_int_t)s->count));
     set(o, "converged", json_integer(s->met));
     set(o, "converged_share", td_json_real((double)s->met / (double)s->count));
     set(o, "within_3_sigma_share", td_json_real(s->judged ? (double)s->covered / s->judged : NAN));
     set(o, "sigma_ratio", td_json_real(s->rms_sigmas));
-    set(o, "steady_error_px_max", td_json_real(steady));
-    set(o, "tip_error_m_max", td_json_real(tip));
+    set(o, "steady_error_px", td_json_reals(s->steady_px, 3));
+    set(o, "tip_error_m", td_json_reals(s->tip_m, 3));
+    set(o, "tip_error_sigmas", td_json_reals(s->sigmas, 3));
     set(o, "runs", runs);
     return o;
 }
@@ -214,8 +214,11 @@ static void starts_table(const servo_starts *s)
     for (int p = TD_SERVO_CONVERGED + 1; p < TD_SERVO_PHASES; p++)
         if (ended[p]) printf(", %d %s", ended[p], td_servo_phase_name((td_servo_phase)p));
     if (s->judged)
-        printf("\nwithin 3 sigma   %d of %d; errors over sigma %.2f (1: right)", s->covered, s->judged,
-               s->rms_sigmas);
+        printf("\nwithin 3 sigma   %d of %d; errors over sigma %.2f (1: right)"
+               "\nsteady error     %.3f px median, %.3f px in 9 of 10, %.3f px largest"
+               "\ntip              %.2f mm median, %.2f mm in 9 of 10, %.2f mm largest",
+               s->covered, s->judged, s->rms_sigmas, s->steady_px[0], s->steady_px[1], s->steady_px[2],
+               1e3 * s->tip_m[0], 1e3 * s->tip_m[1], 1e3 * s->tip_m[2]);
     printf("\n\n%5s  %-12s %7s %10s %9s %7s\n", "start", "outcome", "time s", "steady px", "tip mm",
            "sigmas");
     for (size_t i = 0; i < s->count; i++) {

@@ -3,12 +3,12 @@
  * The goal is where the board stands: root_from_board = root_from_camera(q) camera_from_board, averaged over
  * the looks with a memory of MEMORY_S, for the board rests but the machine sways. Each period it is seen
  * anew from where the camera then is, and the law told of it (td_visual_servo_retarget): so the swing, which
- * moves the camera and the bucket together, is a freedom as the others are. What the board's noise leaves in
- * the goal is part of the tip's sigma.
+ * moves the camera and the bucket together, is a freedom as the others are.
  *
- * Corners are off by noise, new in each image, and by what their places in the image do to the detector,
- * which is the same as long as nothing moves and does not average out. Its size is what the residuals of both
- * targets have beyond the corners' own sigma; it enters the tip's sigma whole.
+ * Corners are off by noise, new in each image, and more than that by what their places in the image do to the
+ * detector, which is the same as long as nothing moves, so that neither the loop nor the board's memory
+ * averages it out. The residuals of both targets have both, and enter the tip's sigma whole, as if all were
+ * the same in each image.
  *
  * A command is given a period after its image was taken: seeing takes time. */
 #include <math.h>
@@ -42,9 +42,8 @@ typedef struct runner {
     double rate[TD_ROBOT_MAX_JOINTS], last_rate[TD_ROBOT_MAX_JOINTS];
     size_t boards; /* seen */
     td_pose root_from_board;
-    double covariance[36];       /* of its left perturbation */
-    double board_image[36];      /* the same by the noise of one image */
-    double excess_px2, freedoms; /* sums over the looks */
+    double board_image[36]; /* covariance of its left perturbation, were the corners' sigma 1 px */
+    double residual_px2[2], freedoms[2]; /* of bucket and board: sums over the looks, with that memory */
     double see_s;
     size_t looks;
 } runner;
@@ -75,17 +74,11 @@ static void average_board(runner *r)
     for (int i = 0; i < 36; i++) r->board_image[i] = covariance[i] / board->variance_px2;
     const double least = r->s->options.limits.period_s / MEMORY_S,
                  share = fmin(1, fmax(1.0 / (double)++r->boards, least));
-    if (r->boards == 1) {
-        r->root_from_board = seen;
-        memcpy(r->covariance, covariance, sizeof covariance);
-        return;
-    }
+    if (r->boards == 1) r->root_from_board = seen;
     const td_pose back = td_pose_inverse(&r->root_from_board), way = td_pose_compose(&seen, &back);
     td_pose_log(xi, &way);
     for (int i = 0; i < 6; i++) xi[i] *= share;
     r->root_from_board = td_pose_perturb(&r->root_from_board, xi);
-    for (int i = 0; i < 36; i++)
-        r->covariance[i] = (1 - share) * (1 - share) * r->covariance[i] + share * share * covariance[i];
 }
 
 static td_status sight_of_goal(td_servo_sight *goal, const runner *r, const td_pose *root_from_camera,
@@ -232,11 +225,13 @@ static bool is_hidden(const runner *r)
            r->state.time_s < s->hide_from_s + s->hide_for_s - 1e-9;
 }
 
-static void add_excess(runner *r, const servo_points *points)
+static void add_residuals(runner *r, int which, const servo_points *points)
 {
+    const double left = 1 - r->s->options.limits.period_s / MEMORY_S;
     if (!points->has_pose) return;
-    r->excess_px2 += points->freedoms * points->excess_px2;
-    r->freedoms += points->freedoms;
+    r->residual_px2[which] *= left, r->freedoms[which] *= left;
+    r->residual_px2[which] += points->freedoms * points->residual_px2;
+    r->freedoms[which] += points->freedoms;
 }
 
 static td_status look_now(runner *r, td_error *error)
@@ -244,11 +239,22 @@ static td_status look_now(runner *r, td_error *error)
     TD_TRY(r->plant.state(r->plant.self, &r->state, error));
     TD_TRY(servo_view_look(&r->look, r->view, &r->state, r->frame++, is_hidden(r), error));
     average_board(r);
-    add_excess(r, &r->look.bucket);
-    add_excess(r, &r->look.board);
+    add_residuals(r, 0, &r->look.bucket);
+    add_residuals(r, 1, &r->look.board);
     r->see_s += r->look.seconds;
     r->looks++;
     return TD_OK;
+}
+
+/* When it is over: it only brakes. */
+static td_status do_not_look(runner *r, td_error *error)
+{
+    servo_points *const points[2] = {&r->look.bucket, &r->look.board};
+    for (int k = 0; k < 2; k++) {
+        points[k]->has_pose = false;
+        memset(points[k]->seen, 0, sizeof points[k]->seen);
+    }
+    return r->plant.state(r->plant.self, &r->state, error);
 }
 
 static td_status move_on(runner *r, td_error *error)
@@ -260,11 +266,14 @@ static td_status move_on(runner *r, td_error *error)
 static td_status period(runner *r, td_error *error)
 {
     td_servo_report report;
-    TD_TRY(look_now(r, error));
+    const bool over = r->servo.phase > TD_SERVO_HOLDING;
+    if (over)
+        TD_TRY(do_not_look(r, error));
+    else
+        TD_TRY(look_now(r, error));
     const double began = terminal_now_s();
     TD_TRY(aim(r, error));
     const td_servo_sight sight = sight_of_bucket(&r->look.bucket);
-    const bool over = r->servo.phase > TD_SERVO_HOLDING;
     TD_TRY(td_visual_servo_step(&report, &r->servo, &sight, &r->state, error));
     r->see_s += terminal_now_s() - began;
     memcpy(r->last_rate, r->rate, sizeof r->rate);
@@ -325,23 +334,22 @@ static td_status first_looks(bool *seen, runner *r, td_error *error)
     return TD_OK;
 }
 
-/* Covariance (3,3) of the tip's error: what the loop leaves of the bucket's noise, what the board's left in
- * the goal, and both targets' bias, whole. */
-static bool tip_covariance(double covariance[9], const runner *r, double bias_px)
+/* Covariance (3,3) of the tip's error where the corners of both targets have this sigma. */
+static bool tip_covariance(double covariance[9], const runner *r, double corner_px)
 {
     td_servo_sigma sigma;
     const double origin[3] = {0};
-    double wanted[3], by_board[18], of_board[36];
+    double wanted[3], by_board[18];
     const td_servo_sight sight = sight_of_bucket(&r->look.bucket);
     wanted_tip(wanted, r, &r->root_from_board);
     td_pose_transform_jacobian(by_board, wanted);
-    for (int i = 0; i < 36; i++) of_board[i] = r->covariance[i] + bias_px * bias_px * r->board_image[i];
     if (td_visual_servo_sigma(&sigma, &r->servo, r->state.q, &sight, r->s->tool, origin, NULL, NULL) !=
             TD_OK ||
-        td_sandwich(covariance, by_board, of_board, 3, 6, NULL) != TD_OK)
+        td_sandwich(covariance, by_board, r->board_image, 3, 6, NULL) != TD_OK)
         return false;
-    const double whole = bias_px * bias_px / r->look.bucket.variance_px2;
-    for (int i = 0; i < 9; i++) covariance[i] += sigma.loop[i] + whole * sigma.image[i];
+    for (int i = 0; i < 9; i++)
+        covariance[i] =
+            corner_px * corner_px * (covariance[i] + sigma.image[i] / r->look.bucket.variance_px2);
     return true;
 }
 
@@ -352,8 +360,9 @@ static void judge_tip(runner *r)
     tip_error(run->tip_error, r);
     run->sigmas = NAN;
     for (int i = 0; i < 3; i++) run->sigma_tip[i] = NAN;
-    run->bias_px = r->freedoms > 0 ? sqrt(fmax(0, r->excess_px2 / r->freedoms)) : NAN;
-    if (!servo_met(run) || !r->look.bucket.has_pose || !tip_covariance(covariance, r, run->bias_px)) return;
+    const double freedoms = r->freedoms[0] + r->freedoms[1];
+    run->corner_px = freedoms > 0 ? sqrt((r->residual_px2[0] + r->residual_px2[1]) / freedoms) : NAN;
+    if (!servo_met(run) || !r->look.bucket.has_pose || !tip_covariance(covariance, r, run->corner_px)) return;
     for (int i = 0; i < 3; i++) run->sigma_tip[i] = sqrt(covariance[4 * i]);
     if (td_invert_spd(inverse, covariance, 3, NULL) != TD_OK) return;
     td_multiply(along, inverse, run->tip_error, 3, 3, 1);
@@ -414,7 +423,7 @@ static td_status all_the_way(runner *r, const td_progress *progress, td_error *e
     r->run->phase = r->servo.phase;
     snprintf(r->run->reason, sizeof r->run->reason, "%s", r->servo.reason);
     for (double t = 0; t < REST_S; t += o->limits.period_s) TD_TRY(period(r, error));
-    return TD_OK;
+    return look_now(r, error);
 }
 
 td_status servo_run_one(servo_run *run, const servo_scenario *s, const double *q, uint64_t seed, int threads,

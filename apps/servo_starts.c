@@ -9,6 +9,7 @@
 
 enum { MOST_DRAWS = 200, MOST_TRIES = 20 };
 static const double EDGE_PX = 15, CLEAR_M = 0.3, FACING = 0.7;
+static const double RIM = 1.5; /* of a tag's half side: what must be seen of it, with the light around it */
 
 typedef struct unit {
     servo_run run;
@@ -47,6 +48,23 @@ static bool in_view(const servo_scenario *s, const servo_target *target, const t
         if (!td_camera_project(pixel, NULL, NULL, c, p) || pixel[0] < EDGE_PX || pixel[1] < EDGE_PX ||
             pixel[0] > c->width - 1 - EDGE_PX || pixel[1] > c->height - 1 - EDGE_PX)
             return false;
+    }
+    return true;
+}
+
+/* No tag of the board, nor its rim, in the ground. */
+static bool stands_free(const servo_scenario *s)
+{
+    const servo_target *board = &s->board;
+    const td_elevation *ground = s->scene->scene.ground;
+    double at[TD_SERVO_MAX_POINTS][3];
+    const int count = servo_corners(at, board);
+    for (int i = 0; i < count; i++) {
+        const double *centre = board->tag[i / 4].target_from_tag.t;
+        double p[3];
+        for (int k = 0; k < 3; k++) at[i][k] = centre[k] + RIM * (at[i][k] - centre[k]);
+        td_pose_transform(p, &board->link_from_target, at[i]);
+        if (!(p[2] > td_elevation_at(ground, p[0], p[1], NULL))) return false;
     }
     return true;
 }
@@ -103,12 +121,14 @@ static td_status draw(double *q, servo_scenario *s, td_random *random, td_error 
             goal[k] = met[k] + s->spread * (2 * td_random_uniform(random) - 1);
         }
         if (s->spread > 0) place_board(s, goal);
-        if (td_robot_within_limits(robot, goal, NULL) && fits(s, q) && fits(s, goal)) return TD_OK;
+        if (td_robot_within_limits(robot, goal, NULL) && stands_free(s) && fits(s, q) && fits(s, goal))
+            return TD_OK;
     }
-    return td_fail(error, TD_ERROR_DATA,
-                   "%s: starts: of %d draws none has the bucket's tags and the board in view at the start "
-                   "and at the goal, and the tip %.1f m above the ground; change the ranges",
-                   s->path, MOST_DRAWS, CLEAR_M);
+    return td_fail(
+        error, TD_ERROR_DATA,
+        "%s: starts: of %d draws none has the bucket's tags and the board in view at the start "
+        "and at the goal, the board free of the ground, and the tip %.1f m above it; change the ranges",
+        s->path, MOST_DRAWS, CLEAR_M);
 }
 
 /* A start in whose first images the tags are not found, for all that geometry says, is drawn anew: the arm
@@ -130,7 +150,42 @@ static void do_unit(size_t index, void *user)
     td_image_free(&u->run.image);
 }
 
-static void count_up(servo_starts *starts)
+static int compare(const void *a, const void *b)
+{
+    const double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* Median, 90 %, largest: the first of the sorted that so many do not exceed. */
+static void find_quantiles(double quantile[3], double *value, int count)
+{
+    static const double share[3] = {0.5, 0.9, 1};
+    if (count) qsort(value, (size_t)count, sizeof *value, compare);
+    for (int i = 0; i < 3; i++) quantile[i] = count ? value[(int)ceil(share[i] * count) - 1] : NAN;
+}
+
+static td_status find_all_quantiles(servo_starts *starts)
+{
+    double *value = malloc(3 * starts->count * sizeof *value);
+    double *const steady = value, *const tip = steady + starts->count, *const sigmas = tip + starts->count;
+    int met = 0, judged = 0;
+    if (!value) return TD_ERROR_MEMORY;
+    for (size_t i = 0; i < starts->count; i++) {
+        const servo_run *run = starts->run + i;
+        const double *e = run->tip_error;
+        if (!servo_met(run)) continue;
+        steady[met] = run->steady_px;
+        tip[met++] = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]);
+        if (!isnan(run->sigmas)) sigmas[judged++] = run->sigmas;
+    }
+    find_quantiles(starts->steady_px, steady, met);
+    find_quantiles(starts->tip_m, tip, met);
+    find_quantiles(starts->sigmas, sigmas, judged);
+    free(value);
+    return TD_OK;
+}
+
+static td_status count_up(servo_starts *starts)
 {
     double square = 0;
     for (size_t i = 0; i < starts->count; i++) {
@@ -143,6 +198,7 @@ static void count_up(servo_starts *starts)
         square += run->sigmas * run->sigmas;
     }
     starts->rms_sigmas = starts->judged ? sqrt(square / 3 / starts->judged) : NAN;
+    return find_all_quantiles(starts);
 }
 
 td_status servo_starts_run(servo_starts *starts, const servo_scenario *s, int count, uint64_t seed,
@@ -159,8 +215,8 @@ td_status servo_starts_run(servo_starts *starts, const servo_scenario *s, int co
             status = td_fail(error, c.unit[i].status, "start %d: %s", i + 1, c.unit[i].error.message);
     }
     free(c.unit);
-    if (status == TD_OK)
-        count_up(starts);
+    if (status == TD_OK && count_up(starts) != TD_OK)
+        status = td_fail(error, TD_ERROR_MEMORY, "no memory for starts");
     else if (status == TD_ERROR_CANCELLED && error && !error->message[0])
         td_fail(error, status, "interrupted");
     return status;

@@ -10,6 +10,7 @@
 #include "core/linalg.h"
 
 enum { CELL_PX = 16, MOST_STEPS = 20 };
+static const double GROSS = 3; /* sigmas of the residuals, root mean square */
 
 struct servo_view {
     const servo_scenario *s;
@@ -198,27 +199,30 @@ static double refine(td_pose *pose, double covariance[36], const servo_points *p
     return td_invert_spd(covariance, a, 6, NULL) == TD_OK ? cost : INFINITY;
 }
 
-/* What the residuals have beyond the corners' sigma: what detector and image are off by. */
-static void measure_excess(servo_points *points, const td_camera *camera)
+/* What is left at each corner; returns the tag of which most is. */
+static int measure_residuals(servo_points *points, const td_camera *camera)
 {
-    double square = 0;
-    int n = 0;
+    double square = 0, most = 0;
+    int n = 0, worst = 0;
     points->variance_px2 = 0;
     for (int i = 0; i < points->count; i++) {
         double at[3], pixel[2];
         if (!points->seen[i]) continue;
         td_pose_transform(at, &points->camera_from_target, points->at[i]);
         if (!td_camera_project(pixel, NULL, NULL, camera, at)) continue;
-        square += pow(points->pixel[i][0] - pixel[0], 2) + pow(points->pixel[i][1] - pixel[1], 2);
+        const double here = pow(points->pixel[i][0] - pixel[0], 2) + pow(points->pixel[i][1] - pixel[1], 2);
+        if (here > most) most = here, worst = i / 4;
+        square += here;
         points->variance_px2 += points->sigma_px[i] * points->sigma_px[i];
         n++;
     }
     points->freedoms = 2 * n - 6;
     points->variance_px2 /= n;
-    points->excess_px2 = square / points->freedoms - points->variance_px2;
+    points->residual_px2 = square / points->freedoms;
+    return worst;
 }
 
-bool servo_pose(servo_points *points, const servo_target *target, const td_camera *camera)
+static bool solve(servo_points *points, const servo_target *target, const td_camera *camera)
 {
     double best = INFINITY;
     for (int t = 0; t < target->count; t++) {
@@ -239,8 +243,21 @@ bool servo_pose(servo_points *points, const servo_target *target, const td_camer
         memcpy(points->covariance, covariance, sizeof covariance);
     }
     points->has_pose = isfinite(best);
-    if (points->has_pose) measure_excess(points, camera);
     return points->has_pose;
+}
+
+/* Where the residuals are far beyond the corners' sigma something stands before a tag's rim: of three tags
+ * and more, the one that fits worst is left out. */
+bool servo_pose(servo_points *points, const servo_target *target, const td_camera *camera)
+{
+    int tags = 0;
+    for (int t = 0; t < target->count; t++) tags += points->seen[4 * t];
+    for (; solve(points, target, camera); tags--) {
+        const int worst = measure_residuals(points, camera);
+        if (tags < 3 || points->residual_px2 < GROSS * GROSS * points->variance_px2) return true;
+        memset(points->seen + 4 * worst, 0, 4 * sizeof *points->seen);
+    }
+    return false;
 }
 
 static void take(servo_points *points, const servo_target *target, const td_tag *tag, size_t count)
@@ -271,6 +288,10 @@ static td_status render(servo_view *v, const td_plant_state *state, uint64_t fra
     TD_TRY(td_stereo_view_move(v->view, error));
     const td_pose rig = rig_at(v->s, state->q),
                   site_from_rig = td_pose_compose(&state->site_from_vehicle, &rig);
+    if (hidden && v->image) {
+        memset(v->image->data, 0, (size_t)v->image->width * (size_t)v->image->height);
+        return TD_OK;
+    }
     TD_TRY(td_stereo_view_render(&seen, v->view, v->s->scene->rig, v->s->camera, &site_from_rig, frame,
                                  &v->options, error));
     td_image_free(&v->image);
@@ -285,10 +306,11 @@ td_status servo_view_look(servo_look *look, servo_view *view, const td_plant_sta
                           bool hidden, td_error *error)
 {
     td_tag *tag = NULL;
+    const size_t known = (size_t)(view->s->bucket.count + view->s->board.count);
     size_t count = 0;
     TD_TRY(render(view, state, frame, hidden, error));
     const double began = terminal_now_s();
-    TD_TRY(td_tags_find(&tag, &count, view->image, view->s->dictionary, 1, error));
+    TD_TRY(td_tags_find(&tag, &count, view->image, view->s->dictionary, 1, known, error));
     take(&look->bucket, &view->s->bucket, tag, count);
     take(&look->board, &view->s->board, tag, count);
     free(tag);

@@ -36,7 +36,7 @@ static td_status from_tags(td_marker **markers, size_t *count, const td_image *i
 {
     td_tag *tag = NULL;
     *markers = NULL;
-    TD_TRY(td_tags_find(&tag, count, image, dictionary, border, error));
+    TD_TRY(td_tags_find(&tag, count, image, dictionary, border, 0, error));
     *markers = calloc(*count + 1, sizeof **markers);
     for (size_t i = 0; *markers && i < *count; i++) {
         (*markers)[i].id = tag[i].id;

@@ -47,7 +47,7 @@ static td_status check_image(const td_image *image, td_error *error)
 }
 
 td_status td_tags_find(td_tag **tags, size_t *count, const td_image *image, const char *dictionary,
-                       int border, td_error *error)
+                       int border, size_t enough, td_error *error)
 {
     tag_codes codes;
     tag_list list = {0};
@@ -58,7 +58,7 @@ td_status td_tags_find(td_tag **tags, size_t *count, const td_image *image, cons
     if (border < 0 || border > 2)
         return td_fail(error, TD_ERROR_ARGUMENT, "border: is %d, but must be 1, 2 or 0 for either", border);
     TD_TRY(td_tag_codes(&codes, dictionary, error));
-    td_status status = td_tags_search(&list, image, &codes, border, SIZE_MAX, error);
+    td_status status = td_tags_search(&list, image, &codes, border, enough ? enough : SIZE_MAX, error);
     if (status == TD_OK) {
         for (size_t i = 0; i < list.count; i++) td_tag_measure(&list.tag[i], inflation, image, &codes, 0);
         inflate(list.tag, list.count, inflation);

@@ -20,9 +20,10 @@ typedef struct td_tag {
 } td_tag;
 
 /* All tags of a dictionary in the grey image, whatever their border (`border` 0) or of the given one, in the
- * order of id, then place. *tags is to be freed with free(). */
+ * order of id, then place. The search, of three passes, ends when there are `enough` (0: all are wanted).
+ * *tags is to be freed with free(). */
 TD_API td_status td_tags_find(td_tag **tags, size_t *count, const td_image *image, const char *dictionary,
-                              int border, td_error *error);
+                              int border, size_t enough, td_error *error);
 
 /* Pose of one tag from its corners by least squares over the camera's whole model, with covariance (6,6) of
  * the pose's perturbation (pose.h; may be NULL). Both minima of a flat target are tried; `ratio` (may be

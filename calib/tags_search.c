@@ -3,7 +3,12 @@
  *
  * In Kalibr's grids dark squares touch the tags' corners and so join them: the light between the tags falls
  * into pieces and no tag has one outline. A second search in the image whose light parts were widened by a
- * pixel parts them; the corners are moved back by as much. */
+ * pixel parts them; the corners are moved back by as much.
+ *
+ * libapriltag's threshold is half way between the darkest and the lightest pixel near by. Where the sky
+ * behind a tag in the shade is twice as light as the tag's own rim, that threshold runs through the rim, and
+ * the tag is lost, or its outline is wrong by pixels. The search is therefore done in the logarithm of the
+ * light, where half way means a ratio. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -14,6 +19,8 @@
 
 /* Where libapriltag counts pixels from: the centre of the first is at (0.5, 0.5). */
 static const double PIXEL_CENTRE = 0.5;
+
+static const double DARK = 16; /* grey levels: below that it is as good as linear, for there noise is large */
 
 enum { LEAST_SIDE = 16, MOST_WIDENED = 2, WRONG_BITS = 1 }; /* px; px; corrected by libapriltag */
 
@@ -86,7 +93,15 @@ static bool make_family(apriltag_family_t *f, const tag_codes *codes, int border
     return true;
 }
 
-/* ---- widening of what is light ---- */
+/* ---- the image that is searched ---- */
+
+/* log(1 + grey / DARK), 0 to 255. */
+static void take_logarithm(uint8_t *out, const uint8_t *in, size_t pixels)
+{
+    uint8_t of[256];
+    for (int i = 0; i < 256; i++) of[i] = (uint8_t)lround(255 * log1p(i / DARK) / log1p(255 / DARK));
+    for (size_t i = 0; i < pixels; i++) out[i] = of[in[i]];
+}
 
 /* The largest of each pixel and its eight neighbours. */
 static void widen(uint8_t *out, const uint8_t *in, int width, int height)
@@ -173,7 +188,7 @@ static bool search(tag_list *list, const td_image *image, const tag_codes *codes
 {
     const size_t pixels = (size_t)image->width * (size_t)image->height;
     uint8_t *now = work, *before = work + pixels;
-    memcpy(now, image->data, pixels);
+    take_logarithm(now, image->data, pixels);
     for (int widened = 0; widened <= MOST_WIDENED && list->count < enough; widened++) {
         if (widened) {
             uint8_t *swap = before;

@@ -418,10 +418,78 @@ static inline double enter_node(const td_box_node *node, const double o[3], cons
     return begin <= stop * (1 + 1e-15) + 1e-12 ? begin : INFINITY;
 }
 
-double td_bodies_cast(const td_bodies *bodies, const double origin[3], const double ray[3], double end,
-                      uint32_t *index)
+/* A cone: its rays' mean direction, and the farthest ray from it with room for rounding. */
+typedef struct cone {
+    const double *origin;
+    double axis[3], cosine, sine;
+} cone;
+
+static bool make_cone(cone *c, const double origin[3], const double (*ray)[3], int count)
+{
+    *c = (cone){.origin = origin, .cosine = 1};
+    for (int i = 0; i < count; i++)
+        for (int k = 0; k < 3 && ray[i][0] == ray[i][0]; k++) c->axis[k] += ray[i][k];
+    const double length = sqrt(dot(c->axis, c->axis));
+    if (!(length > 0)) return false;
+    for (int k = 0; k < 3; k++) c->axis[k] /= length;
+    for (int i = 0; i < count; i++) c->cosine = fmin(c->cosine, dot(c->axis, ray[i])); /* fmin skips NaN */
+    c->cosine -= 1e-9;
+    if (c->cosine < 0) return false;
+    c->sine = sqrt(1 - c->cosine * c->cosine);
+    return true;
+}
+
+/* The ball around the box: with b the angle under which it is seen, cos(angle to its middle) >= cos(cone +
+ * b). */
+static bool meets(const cone *c, const double low[3], const double high[3])
+{
+    double to[3], square = 0;
+    for (int k = 0; k < 3; k++) {
+        const double half = (high[k] - low[k]) / 2;
+        to[k] = (low[k] + high[k]) / 2 - c->origin[k];
+        square += half * half;
+    }
+    square *= 1 + 1e-9;
+    const double distance = dot(to, to);
+    return distance <= square ||
+           dot(to, c->axis) >= c->cosine * sqrt(distance - square) - c->sine * sqrt(square);
+}
+
+void td_bodies_in_beam(td_beam *beam, const td_bodies *bodies, const double origin[3], const double (*ray)[3],
+                       int count)
+{
+    cone c;
+    uint32_t stack[STACK];
+    int depth = 0;
+    *beam = (td_beam){.many = !make_cone(&c, origin, ray, count)};
+    if (bodies->node_count) stack[depth++] = 0;
+    while (depth > 0 && !beam->many) {
+        const uint32_t at = stack[--depth];
+        const td_box_node *node = bodies->node + at;
+        if (!meets(&c, node->low, node->high)) continue;
+        for (uint32_t k = node->first; k < node->first + node->count; k++) {
+            const uint32_t which = bodies->order[k];
+            if (!meets(&c, bodies->body[which].low, bodies->body[which].high)) continue;
+            beam->many = beam->count == TD_BEAM_BODIES;
+            if (!beam->many) beam->body[beam->count++] = which;
+        }
+        if (node->count) continue;
+        stack[depth++] = node->second;
+        stack[depth++] = at + 1;
+    }
+}
+
+double td_bodies_cast(const td_bodies *bodies, const td_beam *beam, const double origin[3],
+                      const double ray[3], double end, uint32_t *index)
 {
     if (!bodies->node_count) return end;
+    if (beam && !beam->many) {
+        for (int i = 0; i < beam->count; i++) {
+            const double t = cross_body(bodies->body + beam->body[i], origin, ray);
+            if (t >= 0 && t < end) end = t, *index = beam->body[i];
+        }
+        return end;
+    }
     const double inverse[3] = {1 / ray[0], 1 / ray[1], 1 / ray[2]};
     uint32_t stack[STACK];
     int depth = 0;

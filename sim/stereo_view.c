@@ -197,14 +197,15 @@ td_status td_stereo_view_rays(const td_view_rays **rays, const td_stereo_view *v
 
 /* ---- rays ---- */
 
-td_hit td_stereo_view_trace(const td_stereo_view *view, const double origin[3], const double ray[3],
-                            double clear)
+td_hit td_stereo_view_trace(const td_stereo_view *view, const td_beam *beam, const double origin[3],
+                            const double ray[3], double clear)
 {
     td_hit hit = {.distance = INFINITY, .what = TD_SEES_SKY};
     const td_bodies *const lists[] = {&view->fixed, &view->moving};
     for (int k = 0; k < 2; k++) {
         uint32_t index;
-        const double distance = td_bodies_cast(lists[k], origin, ray, hit.distance, &index);
+        const double distance =
+            td_bodies_cast(lists[k], beam ? beam + k : NULL, origin, ray, hit.distance, &index);
         if (!(distance < hit.distance)) continue;
         hit.distance = distance;
         hit.body = lists[k]->body + index;
@@ -221,7 +222,7 @@ td_hit td_stereo_view_trace(const td_stereo_view *view, const double origin[3], 
 double td_stereo_view_cast(const td_stereo_view *view, const double origin[3], const double ray[3],
                            td_view_what *what)
 {
-    const td_hit hit = td_stereo_view_trace(view, origin, ray, 0);
+    const td_hit hit = td_stereo_view_trace(view, NULL, origin, ray, 0);
     if (what) *what = hit.what;
     return hit.distance;
 }

@@ -88,10 +88,21 @@ td_status td_bodies_add_fixed(td_bodies *bodies, const td_scene *scene, td_error
 td_status td_bodies_add_moving(td_bodies *bodies, const td_scene *scene, td_error *error);
 td_status td_bodies_sort(td_bodies *bodies, td_error *error);
 void td_bodies_free(td_bodies *bodies);
+/* The bodies that the rays of a beam may meet, in the tree's order. */
+enum { TD_BEAM_BODIES = 16 };
+typedef struct td_beam {
+    bool many; /* more than are listed: the tree is to be asked */
+    int count;
+    uint32_t body[TD_BEAM_BODIES];
+} td_beam;
+/* Unit rays from one point; those whose first number is NaN count for nothing. */
+void td_bodies_in_beam(td_beam *beam, const td_bodies *bodies, const double origin[3], const double (*ray)[3],
+                       int count);
 /* Distance of the first body in [0, end) and its index; `end`, index untouched, when there is none. Solids
- * and pictures are seen from both sides, a robot's shape only from outside it. */
-double td_bodies_cast(const td_bodies *bodies, const double origin[3], const double ray[3], double end,
-                      uint32_t *index);
+ * and pictures are seen from both sides, a robot's shape only from outside it. `beam` (may be NULL) has the
+ * ray among its own, and changes nothing but the time. */
+double td_bodies_cast(const td_bodies *bodies, const td_beam *beam, const double origin[3],
+                      const double ray[3], double end, uint32_t *index);
 /* At a point of its surface: unit normal (outward), the point in the body's own frame, and a number that
  * differs between its flat sides. For a picture `local` is x right, y down (m). */
 int td_body_surface(const td_body *body, const double point[3], double normal[3], double local[3]);
@@ -136,9 +147,9 @@ typedef struct td_hit {
     td_view_what what;
     const td_body *body; /* NULL: ground or sky */
 } td_hit;
-/* `clear` as in td_ground_rays_cast. */
-td_hit td_stereo_view_trace(const td_stereo_view *view, const double origin[3], const double ray[3],
-                            double clear);
+/* `beam` (may be NULL): fixed bodies, moving ones. `clear` as in td_ground_rays_cast. */
+td_hit td_stereo_view_trace(const td_stereo_view *view, const td_beam *beam, const double origin[3],
+                            const double ray[3], double clear);
 
 enum { TD_SHADE_BLOCK = TD_GRAIN_BLOCK };
 /* A block of rays from one point and what they see. */

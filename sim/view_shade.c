@@ -45,14 +45,14 @@ static float lit(const td_scene *scene, const double normal[3])
     return (float)(scene->ambient + (1 - scene->ambient) * (cosine > 0 ? cosine : 0));
 }
 
-static void look(const td_stereo_view *view, const double origin[3], double spread, double clear, int i,
-                 td_shaded *s, block *b)
+static void look(const td_stereo_view *view, const td_beam beam[2], const double origin[3], double spread,
+                 double clear, int i, td_shaded *s, block *b)
 {
     const double *ray = s->ray[i];
     b->surface[i] = NULL;
     s->light[i] = SKY;
     s->side[i] = 0;
-    const td_hit hit = ray[0] == ray[0] ? td_stereo_view_trace(view, origin, ray, clear)
+    const td_hit hit = ray[0] == ray[0] ? td_stereo_view_trace(view, beam, origin, ray, clear)
                                         : (td_hit){.distance = INFINITY, .what = TD_SEES_SKY};
     s->what[i] = (uint8_t)hit.what;
     s->distance[i] = (float)hit.distance;
@@ -115,14 +115,17 @@ void td_stereo_view_shade(const td_stereo_view *view, const double origin[3], do
 {
     block b;
     double clear = 0, near = 0;
+    td_beam beam[2];
     const double(*ray)[3] = (const double(*)[3])shaded->ray;
     if (view->has_ground) near = clear = td_ground_rays_clear(&view->ground, origin, ray, count, 0);
+    td_bodies_in_beam(beam, &view->fixed, origin, ray, count);
+    td_bodies_in_beam(beam + 1, &view->moving, origin, ray, count);
     for (int i = 0; i < count; i++) {
         /* Far beams first, then narrow ones the rest of the way. */
         if (view->has_ground && i % NARROW == 0)
             near = td_ground_rays_clear(&view->ground, origin, ray + i,
                                         count - i < NARROW ? count - i : NARROW, clear);
-        look(view, origin, spread, near, i, shaded, &b);
+        look(view, beam, origin, spread, near, i, shaded, &b);
     }
     for (int i = 0; i < count; i++)
         if (b.surface[i]) add_grain(&b, i, count, shaded->light);

@@ -71,7 +71,7 @@ static inline void look_at_image(size_t index, void *user)
     } else {
         td_tag *tag = NULL;
         size_t count = 0;
-        if (td_tags_find(&tag, &count, image, "tag36h11", 0, NULL) == TD_OK && count == 1)
+        if (td_tags_find(&tag, &count, image, "tag36h11", 0, 0, NULL) == TD_OK && count == 1)
             w->found[index] =
                 td_tag_pose(&w->tag[index], NULL, NULL, &tag[0], w->set->size_m, w->set->camera);
         free(tag);

@@ -201,11 +201,65 @@ static void test_borders(void **state)
     td_tag *tag;
     size_t count;
     td_error error = {0};
-    check_ok(td_tags_find(&tag, &count, image, "tag36h11", 0, &error), error);
+    check_ok(td_tags_find(&tag, &count, image, "tag36h11", 0, 0, &error), error);
     assert_int_equal(count, 12);
     for (size_t i = 0; i < count; i++) assert_true(tag[i].border == 2 && tag[i].id == (int)i);
     free(tag);
     td_image_free(&image);
+}
+
+/* ---- light behind a tag ---- */
+
+/* A tag in the shade before a light sky: light cells and a rim of one cell at 95 of 173 grey levels, dark
+ * ones at 8, so that half way between sky and dark is lighter than the rim; x, y in the image, 8 x 8 points
+ * a pixel. */
+static td_image *tag_before_sky(double shift, td_random *random)
+{
+    enum { SIZE = 96, FINE = 8 };
+    static const double cosine = 0.9976, sine = 0.0698, wide = 6, high = 5;
+    uint8_t cell[TD_TAG_MAX_CELLS * TD_TAG_MAX_CELLS];
+    int side;
+    td_image *image;
+    check_ok(td_tag_cells(cell, &side, "tag36h11", 1, 0, NULL), (td_error){0});
+    check_ok(td_image_new(&image, SIZE, SIZE, 1, NULL), (td_error){0});
+    for (int i = 0; i < SIZE * SIZE; i++) {
+        double sum = 0;
+        for (int k = 0; k < FINE * FINE; k++) {
+            const double x = i % SIZE - 20 - shift + (k % FINE + 0.5) / FINE - 0.5,
+                         y = i / SIZE - 25 - shift + (k / FINE + 0.5) / FINE - 0.5;
+            const int c = (int)floor((cosine * x + sine * y) / wide),
+                      r = (int)floor((cosine * y - sine * x) / high);
+            const bool rim = c < 0 || r < 0 || c >= side || r >= side;
+            sum += c < -1 || r < -1 || c > side || r > side ? 173 : rim || cell[r * side + c] ? 85 : 8;
+        }
+        image->data[i] = (uint8_t)lround(sum / (FINE * FINE) + 1.5 * td_random_normal(random));
+    }
+    return image;
+}
+
+/* Found, and its corners are where they were drawn, wherever they lie between the pixels. 0.2 px is five of
+ * their sigma. Half way in grey levels finds 1 of these 8. */
+static void test_light_sky(void **state)
+{
+    (void)state;
+    td_random random = td_random_seed(5, 1);
+    for (int i = 0; i < 8; i++) {
+        const double shift = i / 8.0, corner[8] = {0, 0, 48, 0, 48, 40, 0, 40};
+        td_tag *tag;
+        size_t count;
+        td_error error = {0};
+        td_image *image = tag_before_sky(shift, &random);
+        check_ok(td_tags_find(&tag, &count, image, "tag36h11", 1, 1, &error), error);
+        assert_int_equal(count, 1);
+        for (int k = 0; k < 4; k++) {
+            const double x = corner[2 * k], y = corner[2 * k + 1];
+            assert_true(tag->sigma[k] > 0);
+            check_near(tag->corner[2 * k], 20 + shift + 0.9976 * x - 0.0698 * y, 0.2);
+            check_near(tag->corner[2 * k + 1], 25 + shift + 0.0698 * x + 0.9976 * y, 0.2);
+        }
+        free(tag);
+        td_image_free(&image);
+    }
 }
 
 static void test_dictionaries(void **state)
@@ -467,7 +521,7 @@ static void test_real_tags(void **state)
     size_t count = 0;
     if (corners && poses) {
         check_ok(td_image_read(&image, VISP "AprilTag.pgm", 1, &error), error);
-        check_ok(td_tags_find(&tag, &count, image, "tag36h11", 0, &error), error);
+        check_ok(td_tags_find(&tag, &count, image, "tag36h11", 0, 0, &error), error);
         assert_int_equal(count, 12);
         compare_poses(corners, poses, tag);
     }
@@ -530,12 +584,13 @@ static void test_calibration(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_random_views), cmocka_unit_test(test_sigma),
-        cmocka_unit_test(test_borders),      cmocka_unit_test(test_dictionaries),
-        cmocka_unit_test(test_numbers),      cmocka_unit_test(test_layouts),
-        cmocka_unit_test(test_mirrored),     cmocka_unit_test(test_nothing),
-        cmocka_unit_test(test_pose),         cmocka_unit_test(test_pose_is_ambiguous),
-        cmocka_unit_test(test_real_tags),    cmocka_unit_test(test_calibration),
+        cmocka_unit_test(test_random_views),      cmocka_unit_test(test_sigma),
+        cmocka_unit_test(test_borders),           cmocka_unit_test(test_light_sky),
+        cmocka_unit_test(test_dictionaries),      cmocka_unit_test(test_numbers),
+        cmocka_unit_test(test_layouts),           cmocka_unit_test(test_mirrored),
+        cmocka_unit_test(test_nothing),           cmocka_unit_test(test_pose),
+        cmocka_unit_test(test_pose_is_ambiguous), cmocka_unit_test(test_real_tags),
+        cmocka_unit_test(test_calibration),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

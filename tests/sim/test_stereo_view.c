@@ -311,6 +311,42 @@ static void test_primitives(void **state)
     td_robot_free(&scene.robot);
 }
 
+static void random_beam(double (*ray)[3], int count, td_random *random)
+{
+    double middle[3], spread = pow(10, between(random, -4, 0));
+    random_unit(random, middle);
+    for (int i = 0; i < count; i++) {
+        double length = 0;
+        for (int a = 0; a < 3; a++) ray[i][a] = middle[a] + spread * td_random_normal(random);
+        for (int a = 0; a < 3; a++) length += ray[i][a] * ray[i][a];
+        for (int a = 0; a < 3; a++) ray[i][a] /= sqrt(length);
+    }
+}
+
+/* What the rays of a beam meet is the same, to the bit, with the beam's list as with the tree. */
+static void check_beams(const td_stereo_view *view, td_random *random)
+{
+    int listed = 0, met = 0;
+    for (int k = 0; k < 2000; k++) {
+        const double o[3] = {between(random, -9, 9), between(random, -9, 9), between(random, -9, 9)};
+        double ray[16][3];
+        td_beam beam;
+        random_beam(ray, 16, random);
+        if (k % 7 == 0) ray[3][0] = NAN;
+        td_bodies_in_beam(&beam, &view->fixed, o, (const double(*)[3])ray, 16);
+        listed += !beam.many;
+        for (int i = 0; i < 16; i++) {
+            uint32_t alone = 0, together = 0;
+            if (isnan(ray[i][0])) continue;
+            const double a = td_bodies_cast(&view->fixed, NULL, o, ray[i], INFINITY, &alone);
+            const double b = td_bodies_cast(&view->fixed, &beam, o, ray[i], INFINITY, &together);
+            assert_true(a == b && alone == together);
+            met += isfinite(a) && !beam.many;
+        }
+    }
+    assert_true(listed > 500 && met > 500);
+}
+
 /* Many tetrahedra in a tree against each of their triangles; a ball through a mesh of many sides. */
 static void test_triangles(void **state)
 {
@@ -372,6 +408,7 @@ static void test_triangles(void **state)
         met += isfinite(first);
     }
     assert_true(met > 200);
+    check_beams(view, &random);
     td_stereo_view_free(&view);
 }
 
