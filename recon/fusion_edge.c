@@ -12,9 +12,12 @@
  *     b_w(p) itself, w up to a window and a half: the pixel is nearer than what lies around it;
  *     |b_5| of any pixel within a window: an edge or a fold is near, on whichever side.
  *
- * The larger of the two, the second times NEARBY, held to MOST_BULGE (of large steps most are matched well,
- * for they are found out), bounds the error: on rendered ground 68 % of them are below a fifth of it, 99 %
- * below 0.7 of it. Below CHANCE it is noise and roughness, which sigma holds. */
+ * The larger of the two, the second times NEARBY, held to MOST_BULGE (10 m behind an edge is as good as
+ * anywhere), bounds the error: on rendered ground 68 % of them are below a fifth of it, 99 % below 0.7 of it.
+ * Below CHANCE it is noise and roughness, which sigma holds.
+ *
+ * So few are wrong by so much that sigma would be far too large for the rest: but they are wrong in patches
+ * of half a window's side, and how much such a patch is of a cell fusion_measure.c knows. */
 #include <math.h>
 #include <stdlib.h>
 
@@ -23,7 +26,7 @@
 
 /* px. A window of the matching has 9; its sums reach farther. */
 enum { REACH = 8, SHORT = 5, SPAN = 4, SPANS = 3, WAYS = 4 };
-static const float NEARBY = 0.45f, MOST_BULGE = 3, CHANCE = 1.35f; /* the last two px */
+static const float NEARBY = 0.45f, MOST_BULGE = 20, CHANCE = 1.35f; /* the last two px */
 static const float BY_BULGE = 0.45f;
 static const int ACROSS[WAYS] = {1, 0, 1, 1}, DOWN[WAYS] = {0, 1, 1, -1};
 
