@@ -72,17 +72,26 @@ static void look_along(size_t row, void *user)
  * that both sides are known at. */
 static float own_bulge(float *edge, const td_disparity *d, int x, int y)
 {
-    float beside = 0;
+    const size_t width = (size_t)d->width, here = (size_t)y * width + (size_t)x;
+    const float twice = 2 * d->value[here];
+    float beside = 0, most = *edge;
+    if (isnan(twice)) return 0;
     for (int way = 0; way < WAYS; way++) {
+        const int dx = SPAN * ACROSS[way], dy = SPAN * DOWN[way];
         bool first = true;
         for (int k = 1; k <= SPANS; k++) {
-            const float b = bulge(d, x, y, SPAN * k, way);
+            const int u = k * dx, v = abs(k * dy);
+            if (x < u || x + u >= d->width || y < v || y + v >= d->height) break;
+            const float *to = &d->value[here] + k * dy * d->width + u,
+                        *from = &d->value[here] - k * dy * d->width - u;
+            const float b = twice - *to - *from;
             if (isnan(b)) continue;
-            *edge = fmaxf(*edge, b);
+            most = fmaxf(most, b);
             if (first) beside = fmaxf(beside, b);
             first = false;
         }
     }
+    *edge = most;
     return beside;
 }
 
