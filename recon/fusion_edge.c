@@ -13,8 +13,12 @@
  *     |b_5| of any pixel within a window: an edge or a fold is near, on whichever side.
  *
  * The larger of the two, the second times NEARBY, held to MOST_BULGE (of large steps most are matched well,
- * for they are found out), bounds the error: on rendered ground 68 % of them are below a fifth of it, 99 %
- * below 0.7 of it. Below CHANCE it is noise and roughness, which sigma holds. */
+ * for they are found out; right beside one, or beside the hole at one, MOST_BESIDE), bounds the error: on
+ * rendered ground 68 % of them are below a fifth of it, 99 % below 0.7 of it. Below CHANCE it is noise and
+ * roughness, which sigma holds.
+ *
+ * So few are wrong by so much that sigma would be far too large for the rest: but they are wrong in patches
+ * of half a window's side, and how much such a patch is of a cell fusion_measure.c knows. */
 #include <math.h>
 #include <stdlib.h>
 
@@ -23,7 +27,7 @@
 
 /* px. A window of the matching has 9; its sums reach farther. */
 enum { REACH = 8, SHORT = 5, SPAN = 4, SPANS = 3, WAYS = 4 };
-static const float NEARBY = 0.45f, MOST_BULGE = 3, CHANCE = 1.35f; /* the last two px */
+static const float NEARBY = 0.45f, MOST_BULGE = 3, MOST_BESIDE = 20, CHANCE = 1.35f; /* the last three px */
 static const float BY_BULGE = 0.45f;
 static const int ACROSS[WAYS] = {1, 0, 1, 1}, DOWN[WAYS] = {0, 1, 1, -1};
 
@@ -64,6 +68,33 @@ static void look_along(size_t row, void *user)
     }
 }
 
+/* Raises `edge` to the pixel's own bulge; returns the largest of those at the smallest distance of each way
+ * that both sides are known at. */
+static float own_bulge(float *edge, const td_disparity *d, int x, int y)
+{
+    const size_t width = (size_t)d->width, here = (size_t)y * width + (size_t)x;
+    const float twice = 2 * d->value[here];
+    float beside = 0, most = *edge;
+    if (isnan(twice)) return 0;
+    for (int way = 0; way < WAYS; way++) {
+        const int dx = SPAN * ACROSS[way], dy = SPAN * DOWN[way];
+        bool first = true;
+        for (int k = 1; k <= SPANS; k++) {
+            const int u = k * dx, v = abs(k * dy);
+            if (x < u || x + u >= d->width || y < v || y + v >= d->height) break;
+            const float *to = &d->value[here] + k * dy * d->width + u,
+                        *from = &d->value[here] - k * dy * d->width - u;
+            const float b = twice - *to - *from;
+            if (isnan(b)) continue;
+            most = fmaxf(most, b);
+            if (first) beside = fmaxf(beside, b);
+            first = false;
+        }
+    }
+    *edge = most;
+    return beside;
+}
+
 static void look_down(size_t row, void *user)
 {
     const work *w = user;
@@ -76,9 +107,8 @@ static void look_down(size_t row, void *user)
         for (int x = 0; x < d->width; x++) edge[x] = fmaxf(edge[x], NEARBY * along[x]);
     }
     for (int x = 0; x < d->width; x++) {
-        for (int k = 0; k < WAYS * SPANS; k++)
-            edge[x] = fmaxf(edge[x], bulge(d, x, y, SPAN * (k / WAYS + 1), k % WAYS));
-        const float held = fminf(edge[x], MOST_BULGE);
+        const float beside = own_bulge(&edge[x], d, x, y);
+        const float held = fmaxf(fminf(edge[x], MOST_BULGE), fminf(beside, MOST_BESIDE));
         edge[x] = BY_BULGE * sqrtf(fmaxf(0, held * held - CHANCE * CHANCE));
     }
 }

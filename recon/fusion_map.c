@@ -204,8 +204,14 @@ static td_status copy_all(td_elevation *map, td_elevation *noise, const td_fusio
     return status;
 }
 
-/* Height of a cell over the median of its known neighbours; 0 where all of them are known. */
-static double border_step(const td_elevation *map, int column, int row)
+/* Of a cell at the rim, with its known neighbours. */
+typedef struct rim {
+    double step; /* m, height over the neighbours' median */
+    double drop; /* m, height over the lowest of them; at least 0 */
+} rim;
+
+/* Nothing where all neighbours are known. */
+static rim rim_of(const td_elevation *map, int column, int row)
 {
     float known[8];
     int count = 0, unknown = 0;
@@ -222,22 +228,26 @@ static double border_step(const td_elevation *map, int column, int row)
                 }
             if (isfinite(h)) known[count++] = h;
         }
-    if (unknown == 0 || count == 0) return 0;
-    return (double)map->height[(size_t)row * (size_t)map->columns + (size_t)column] -
-           (double)known[count / 2];
+    if (unknown == 0 || count == 0) return (rim){0, 0};
+    const double own = (double)map->height[(size_t)row * (size_t)map->columns + (size_t)column];
+    return (rim){own - (double)known[count / 2], fmax(0, own - (double)known[0])};
 }
 
 /* A cell at the rim of what was seen is seen in part, and nothing beyond it says how the ground goes on: the
- * truth may be anywhere between it and its neighbours, evenly spread, where they differ by more than their
- * noise. */
+ * truth may be anywhere between it and its neighbours, or, for what is hidden lies lower than what hides it
+ * (the lip of a trench, a stone's edge), down to the lowest of them; evenly spread, where these differ by
+ * more than their noise: by sqrt(2) sigma from one, by 3 from the lowest of eight. */
 static void widen_border(td_elevation *map, td_elevation *noise)
 {
     for (int r = 0; r < map->rows; r++)
         for (int c = 0; c < map->columns; c++) {
             const size_t at = (size_t)r * (size_t)map->columns + (size_t)c;
             if (map->provenance[at] != TD_CELL_MEASURED && map->provenance[at] != TD_CELL_FUSED) continue;
-            const double step = border_step(map, c, r), own = (double)map->sigma[at];
-            const double beyond = sqrt(fmax(0, step * step - 2 * own * own) / 12);
+            const double own = (double)map->sigma[at], variance = own * own;
+            const rim here = rim_of(map, c, r);
+            const double most =
+                fmax(here.step * here.step - 2 * variance, here.drop * here.drop - 9 * variance);
+            const double beyond = sqrt(fmax(0, most) / 12);
             map->sigma[at] = (float)hypot(own, beyond);
             if (noise) noise->sigma[at] = (float)hypot((double)noise->sigma[at], beyond);
         }

@@ -16,7 +16,10 @@
  * the mean is h, and it lies the farther off the wider it is: h^2 relief^0.5 together. Points in rows, n of
  * them, miss relief^0.5 / n.) Without it, cells at the upper edge of a stone would take a slope along the
  * ray, and a sigma of nothing;
- * - edges: the variance that fusion_edge.c gives the points besides;
+ * - edges: the variance that fusion_edge.c gives the points besides. They are wrong together in patches of
+ * half a window's side, and most are not wrong at all: of n points one patch is taken to be, which moves the
+ * mean by its share, EDGE_PATCH / n. So a cell of a few pixels has all of it, where one that holds hundreds
+ * keeps the sigma that its other points give it;
  * - smear: what the camera sees is turned towards it. Where the plane around is turned less than LEAST_FACING
  * of what level ground is, or away, the points hang in the air between an edge and what lies behind it: a
  * slope along the ray once more. The variance of the heights around counts whole, and where it is clearly
@@ -33,6 +36,7 @@ static const double UNKNOWN_SLOPE = 0.5;    /* standard deviation of a slope tha
 static const double EXPECTED_SCATTER = 4;   /* times its variance: chance, and matching's tails */
 static const double LEAST_FACING = 0.6;     /* of the sine at which level ground is seen */
 static const double LEAST_VARIANCE = 1e-10; /* m^2: (10 um)^2 */
+static const double EDGE_PATCH = 16;        /* px: half of a window's 9, squared */
 
 static double dot(const double a[3], const double b[3])
 {
@@ -235,7 +239,8 @@ static td_measure measure(const td_frame_cells *c, const td_frame_tile *tile, co
     const double sideways = cell->slope_variance * (way[0] * way[0] + way[1] * way[1]) / (seen[2] * seen[2]);
     const double one = (along * along + sideways) * depth; /* variance of one point's height */
     const double matching = one * averaged(cell, c) + LEAST_VARIANCE;
-    const double edges = (along * along + sideways) * cell->edge * averaged(cell, c) + cell->smear;
+    const double patch = fmin(1, EDGE_PATCH / cell->count);
+    const double edges = (along * along + sideways) * cell->edge * patch * patch + cell->smear;
     const double scatter = fmax(0, cell->residual / cell->weight - EXPECTED_SCATTER * one);
     const double away = hypot(cell->x, cell->y);
     const double hidden = fmin(1, 2 * away / c->fusion->options.cell_m);

@@ -2,8 +2,8 @@
 - a trench dug between two visits: its volume within 2 % and within 2 sigma of the truth over the same cells; in one fused map it is
   believed after N = 3 frames, and no cell that was not seen again is altered in any bit;
 - the machine's arm in view is not in the map: before the trench no cell in its reach stands 5 sigma above the ground, after it, where the
-  trench's lips are seen in part, at most 0.1 % do, none by 5 sigma and 0.3 m (the arm is 1 m and more above the ground); beyond its reach
-  at most 0.05 % of the cells up to 12 m do, at the edges of stones, which matching fattens. A cell's height is that of its square, so the
+  trench's lips are seen in part, at most 0.05 % do, none by 5 sigma and 0.3 m (the arm is 1 m and more above the ground); beyond its reach
+  at most 0.03 % of the cells up to 12 m do, at the edges of stones, which matching fattens. A cell's height is that of its square, so the
   truth is the ground's mean over it;
 - a map known before is kept, bit for bit, where nothing is seen;
 - frames whose pose is withheld are found: on the map so far (error within 4 sigma in each of x, y, z and below 10 mm), by tags (same),
@@ -144,7 +144,7 @@ def test_trench():
           f"{unseen.sum()} cells not seen again: {kept.sum()} the same bits, {gone.sum()} looked through and cleared")
     # The arm.
     offsets = (np.arange(8) + 0.5) / 8 * cell - cell / 2
-    for name, map_, frames, most in (("before", b, "1..3", 0), ("after", a, "4..6", 0.001)):
+    for name, map_, frames, most in (("before", b, "1..3", 0), ("after", a, "4..6", 0.0005)):
         told = sum(truth_at(name, x + u, y + v) for u in offsets for v in offsets) / 64
         z = (map_["height"] - told) / map_["sigma"]
         near = np.min([np.hypot(x - bx, y - by) for bx, by in stands(frames)], axis=0) < REACH_M
@@ -153,7 +153,7 @@ def test_trench():
               f"{name}: no cell of the arm; {(z[known] > 5).sum()} of {known.sum()} cells in its reach are above by 5 sigma, the most by "
               f"{z[known].max():.1f} sigma")
         far = np.isfinite(z) & (x < 12) & ~near
-        check((z[far] > 5).sum() <= max(most, 0.0005) * (far.sum() + known.sum()), f"  beyond it {(z[far] > 5).sum()} of {far.sum()}")
+        check((z[far] > 5).sum() <= 0.0003 * (far.sum() + known.sum()), f"  beyond it {(z[far] > 5).sum()} of {far.sum()}")
 
 
 def test_prior():
