@@ -193,6 +193,12 @@ td_status look_map(td_elevation **map, const look *l, td_error *error)
     return td_fusion_map(map, NULL, l->fusion, error);
 }
 
+td_status look_anew(look *l, td_error *error)
+{
+    td_fusion_free(&l->fusion);
+    return td_fusion_new(&l->fusion, &l->options.fusion, error);
+}
+
 const td_image *look_left(const look *l)
 {
     return l->left;

@@ -36,8 +36,11 @@ void look_ground_changed(look *l, int column, int row, int columns, int rows);
  * site_from_vehicle (covariance (6,6) of site_from_rig, or NULL) with joints q. */
 td_status look_now(look_result *result, look *l, const td_pose *site_from_vehicle, const double *q,
                    const double *pose_covariance, uint64_t frame, double time_s, td_error *error);
-/* The map so far. */
+/* The map so far, or since look_anew. */
 td_status look_map(td_elevation **map, const look *l, td_error *error);
+/* From the next pair on the map holds what is seen since: ground that has gone stands in no map then, as it
+ * would where a wall hides what is there instead. */
+td_status look_anew(look *l, td_error *error);
 /* How far robust matches of the last pair lie off their epipolar curves, px (recon/epipolar_gate.h), and what
  * the believed rig's covariance allows (standard deviation; NaN: it has none): a rig that is not believed
  * rightly shows it. Refused: no pair yet; too few matches. */

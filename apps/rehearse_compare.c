@@ -18,6 +18,15 @@ static void corners(double polygon[4][2], const td_dig_floor *f)
     }
 }
 
+/* Of the cell around a point; NaN: outside. */
+static double height_of(const td_elevation *map, double x, double y)
+{
+    const double c = nearbyint((x - map->origin[0]) / map->cell_m),
+                 r = nearbyint((y - map->origin[1]) / map->cell_m);
+    if (!(c >= 0 && r >= 0 && c < map->columns && r < map->rows)) return NAN;
+    return (double)map->height[(size_t)r * (size_t)map->columns + (size_t)c];
+}
+
 static bool is_inside(const td_dig_floor *f, double x, double y)
 {
     const double dx = x - f->start[0], dy = y - f->start[1], c = cos(f->heading_rad), s = sin(f->heading_rad);
@@ -25,29 +34,44 @@ static bool is_inside(const td_dig_floor *f, double x, double y)
     return a >= -AROUND_M && a <= f->length_m + AROUND_M && fabs(t) <= f->width_m / 2 + AROUND_M;
 }
 
-/* By how much the ground is lower around the trench: cells of two maps of one grid. */
-static double cut_between(const td_elevation *before, const td_elevation *after, const td_dig_floor *floor)
+/* By how much the ground is lower around the trench: cells of two maps of one grid, of `seen` (NULL: all)
+ * those whose height is known. */
+static double cut_between(const td_elevation *before, const td_elevation *after, const td_elevation *seen,
+                          const td_dig_floor *floor)
 {
     double sum = 0;
     for (int row = 0; row < before->rows; row++)
         for (int c = 0; c < before->columns; c++) {
             const size_t i = (size_t)row * (size_t)before->columns + (size_t)c;
+            const double x = before->origin[0] + c * before->cell_m,
+                         y = before->origin[1] + row * before->cell_m;
             const double lower = (double)before->height[i] - (double)after->height[i];
-            if (lower > 0 && is_inside(floor, before->origin[0] + c * before->cell_m,
-                                       before->origin[1] + row * before->cell_m))
-                sum += lower;
+            if (!(lower > 0) || !is_inside(floor, x, y)) continue;
+            if (!seen || !isnan(height_of(seen, x, y))) sum += lower;
         }
     return sum * before->cell_m * before->cell_m;
 }
 
-static double filled_area(const td_elevation *m, const td_dig_floor *floor)
+/* The last map without what is not seen around the trench, and how large that is. */
+static td_status seen_only(td_elevation **seen, double *unseen_m2, double *area_m2, const rehearse *r,
+                           td_error *error)
 {
-    size_t count = 0;
+    size_t unseen = 0, all = 0;
+    TD_TRY(td_elevation_copy(seen, r->map, error));
+    td_elevation *m = *seen;
     for (int row = 0; row < m->rows; row++)
-        for (int c = 0; c < m->columns; c++)
-            count += m->provenance[(size_t)row * (size_t)m->columns + (size_t)c] == TD_CELL_SIMULATED &&
-                     is_inside(floor, m->origin[0] + c * m->cell_m, m->origin[1] + row * m->cell_m);
-    return (double)count * m->cell_m * m->cell_m;
+        for (int c = 0; c < m->columns; c++) {
+            const size_t i = (size_t)row * (size_t)m->columns + (size_t)c;
+            const double x = m->origin[0] + c * m->cell_m, y = m->origin[1] + row * m->cell_m;
+            if (!is_inside(&r->floor, x, y)) continue;
+            all++;
+            if (m->provenance[i] != TD_CELL_SIMULATED && !isnan(m->height[i])) continue;
+            m->height[i] = m->sigma[i] = NAN;
+            unseen++;
+        }
+    *unseen_m2 = (double)unseen * m->cell_m * m->cell_m;
+    *area_m2 = (double)all * m->cell_m * m->cell_m;
+    return TD_OK;
 }
 
 static void compare_map(rehearse *r)
@@ -89,25 +113,32 @@ td_status rehearse_compare(rehearse *r, td_error *error)
     double polygon[4][2];
     td_volume_options o = td_volume_options_default();
     td_error why = {0};
+    td_elevation *seen = NULL;
+    const td_elevation *predicted = NULL;
+    double area = 0;
     compare_map(r);
     r->volume = (td_volume){.cut_m3 = NAN, .sigma_cut_m3 = NAN};
     for (int i = 0; i < r->round_count; i++) {
         rehearse_round *round = r->round + i;
         if (!round->executed) continue;
-        round->predicted_m3 = cut_between(r->map_before, round->ahead.after, &r->floor);
+        round->predicted_m3 = cut_between(r->map_before, round->ahead.after, NULL, &r->floor);
+        predicted = round->ahead.after;
         r->predicted_m3 = round->predicted_m3;
         compare_tip(r, round);
     }
-    if (!(r->planned_m3 > 0)) return TD_OK;
-    r->dug_m3 = cut_between(r->true_before, r->true_after, &r->floor);
+    if (!(r->planned_m3 > 0) || !predicted) return TD_OK;
+    r->dug_m3 = cut_between(r->true_before, r->true_after, NULL, &r->floor);
     corners(polygon, &r->floor);
     o.polygon = (const double(*)[2])polygon;
     o.polygon_count = 4;
-    const td_status status = td_volume_between(&r->volume, NULL, r->map_before, r->map, &o, &why);
+    TD_TRY(seen_only(&seen, &r->unseen_m2, &area, r, error));
+    r->seen_share = 1 - r->unseen_m2 / fmax(area, 1e-9);
+    r->dug_seen_m3 = cut_between(r->true_before, r->true_after, seen, &r->floor);
+    r->predicted_unseen_m3 = r->predicted_m3 - cut_between(r->map_before, predicted, seen, &r->floor);
+    const td_status status = td_volume_between(&r->volume, NULL, r->map_before, seen, &o, &why);
+    td_elevation_free(&seen);
     if (status == TD_ERROR_MEMORY) return td_fail(error, status, "%s", why.message);
     if (status != TD_OK) r->volume = (td_volume){.cut_m3 = NAN, .sigma_cut_m3 = NAN};
-    /* What was not seen is off together. */
-    r->filled_m2 = filled_area(r->map, &r->floor);
-    r->sigma_volume_m3 = hypot(r->volume.sigma_cut_m3, r->filled_m2 * r->scatter_m);
+    r->sigma_volume_m3 = r->volume.sigma_cut_m3;
     return TD_OK;
 }

@@ -36,6 +36,7 @@ typedef struct rehearse_draw {
     td_robot *robot;
     station_ground ground;
     double zero[TD_ROBOT_MAX_JOINTS]; /* reading less truth */
+    td_random random;                 /* for what else is drawn */
 } rehearse_draw;
 
 /* Of predicted and actual, sample by sample along the same motion. Quantities: the joints (rad or m), the
@@ -118,7 +119,9 @@ typedef struct rehearse {
     double map_rms_m, map_share, clearance_m, probability, real_time;
     double dug_m3, predicted_m3, mass_error_kg;
     td_volume volume;
-    double sigma_volume_m3, filled_m2; /* of the volume; around the trench: not seen, taken as predicted */
+    double sigma_volume_m3;
+    double unseen_m2, seen_share; /* around the trench: not seen since it was dug, taken as predicted */
+    double dug_seen_m3, predicted_unseen_m3; /* in truth, where it is seen; as predicted, where it is not */
     gate_result gate;
 } rehearse;
 

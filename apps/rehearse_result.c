@@ -49,10 +49,13 @@ const td_schema_row rehearse_schema[] = {
      "of it above the floor in the last map that was planned on"},
     {"predicted_volume_m3", TD_SCHEMA_REAL, true, false, "cut around the trench, as simulated ahead"},
     {"dug_volume_m3", TD_SCHEMA_REAL, true, false, "cut there in truth"},
-    {"measured_volume_m3", TD_SCHEMA_REAL, true, true, "cut there between the first map and the last"},
+    {"dug_seen_m3", TD_SCHEMA_REAL, true, false, "of it, where the last map has seen the ground since"},
+    {"measured_volume_m3", TD_SCHEMA_REAL, true, true,
+     "cut there between the first map and the last, where it is seen"},
     {"sigma_volume_m3", TD_SCHEMA_REAL, true, true, "of the measured volume"},
-    {"unseen_m2", TD_SCHEMA_REAL, true, false,
-     "around the trench, not seen since it was dug: taken as predicted"},
+    {"seen_share", TD_SCHEMA_REAL, true, false, "of the area around the trench, seen since it was dug"},
+    {"unseen_m2", TD_SCHEMA_REAL, true, false, "the rest of it: taken as predicted"},
+    {"predicted_unseen_m3", TD_SCHEMA_REAL, true, false, "cut there, as simulated ahead"},
     {"prediction_scatter_m", TD_SCHEMA_REAL, true, false,
      "ground as predicted less as then seen, where soil was moved: 68 % are less"},
     {"mass_error_kg", TD_SCHEMA_REAL, true, false, "all soil at the end less all soil at first: 0"},
@@ -134,7 +137,7 @@ void rehearse_judge(rehearse *r, const gate_row *rows)
         "%.0f %% of the map's cells are further off the truth than their sigma: the rig is not as well "
         "known as its covariance says",
         100 * (1 - r->map_share));
-    const double off = fabs(r->volume.cut_m3 - r->dug_m3);
+    const double off = fabs(r->volume.cut_m3 - r->dug_seen_m3);
     gate_check(g, rows, rehearse_gate_count, "volume_sigma", off / r->sigma_volume_m3,
                "the measured volume is %.3f m3 off the true one, its sigma is %.3f m3", off,
                r->sigma_volume_m3);
@@ -204,7 +207,10 @@ static void set_motion(json_t *root, const rehearse *r)
     set(root, "dug_volume_m3", td_json_real(r->dug_m3));
     set(root, "measured_volume_m3", td_json_real(r->planned_m3 > 0 ? r->volume.cut_m3 : NAN));
     set(root, "sigma_volume_m3", td_json_real(r->planned_m3 > 0 ? r->sigma_volume_m3 : NAN));
-    set(root, "unseen_m2", td_json_real(r->filled_m2));
+    set(root, "dug_seen_m3", td_json_real(r->dug_seen_m3));
+    set(root, "seen_share", td_json_real(r->seen_share));
+    set(root, "unseen_m2", td_json_real(r->unseen_m2));
+    set(root, "predicted_unseen_m3", td_json_real(r->predicted_unseen_m3));
     set(root, "prediction_scatter_m", td_json_real(r->scatter_m));
     set(root, "mass_error_kg", td_json_real(r->mass_error_kg));
     set(root, "clearance_min_m", td_json_real(r->clearance_m));
@@ -263,8 +269,12 @@ void rehearse_table(const void *done)
         "map off by %.3f m rms, %.0f %% within sigma\n",
         r->looks, r->epipolar_px, r->sigma_epipolar_px, 100 * r->matched_least, r->map_rms_m,
         100 * r->map_share);
-    printf("trench of %.3f m3: %.3f predicted, %.3f dug, %.3f +- %.3f measured; %.3f left\n", r->planned_m3,
-           r->predicted_m3, r->dug_m3, r->volume.cut_m3, r->sigma_volume_m3, r->left_m3);
+    printf("trench of %.3f m3: %.3f predicted, %.3f dug; %.3f left\n", r->planned_m3, r->predicted_m3,
+           r->dug_m3, r->left_m3);
+    printf("where it is seen (%.0f %%): %.3f +- %.3f m3 measured, %.3f dug; unseen: %.3f m3 predicted, %.3f "
+           "dug\n",
+           100 * r->seen_share, r->volume.cut_m3, r->sigma_volume_m3, r->dug_seen_m3, r->predicted_unseen_m3,
+           r->dug_m3 - r->dug_seen_m3);
     printf(
         "tool %.3f m off its prediction (%.3f at most), sigma %.3f m; clearance %.2f m, contact %.2g; mass "
         "off by %g kg\n",
