@@ -74,6 +74,38 @@ static td_status seen_only(td_elevation **seen, double *unseen_m2, double *area_
     return TD_OK;
 }
 
+static int by_value(const void *a, const void *b)
+{
+    const double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* Besides the cells' own noise two errors are the same in all cells. The calibration's, of the ground that is
+ * seen whole; and that of the steps, where windows and rays that meet both the wall and what lies before it
+ * take the one for the other, everywhere to the same side. Steps are told by their sigma, of several times
+ * the ground's. */
+static double sigma_of_volume(const rehearse *r, const td_elevation *seen)
+{
+    static const double STEP = 3, CHANGED = 3;
+    const size_t cells = (size_t)seen->columns * (size_t)seen->rows;
+    double *sigma = malloc((cells + 1) * sizeof *sigma), ground = 0, steps = 0;
+    size_t count = 0;
+    if (!sigma) return NAN;
+    for (int row = 0; row < seen->rows; row++)
+        for (int c = 0; c < seen->columns; c++) {
+            const size_t i = (size_t)row * (size_t)seen->columns + (size_t)c;
+            const double x = seen->origin[0] + c * seen->cell_m, y = seen->origin[1] + row * seen->cell_m;
+            const double both = hypot((double)seen->sigma[i], (double)r->map_before->sigma[i]);
+            const double off = fabs((double)seen->height[i] - (double)r->map_before->height[i]);
+            if (is_inside(&r->floor, x, y) && off > CHANGED * both) sigma[count++] = (double)seen->sigma[i];
+        }
+    qsort(sigma, count, sizeof *sigma, by_value);
+    for (size_t i = 0; i < count; i++) *(sigma[i] > STEP * sigma[count / 2] ? &steps : &ground) += sigma[i];
+    free(sigma);
+    const double area = seen->cell_m * seen->cell_m;
+    return hypot(r->volume.sigma_cut_m3, hypot(area * steps, area * ground));
+}
+
 static void compare_map(rehearse *r)
 {
     const double *at = r->state.site_from_vehicle.t;
@@ -95,16 +127,35 @@ static void compare_map(rehearse *r)
     r->map_share = count ? (double)within / (double)count : NAN;
 }
 
+/* Height of the tool above ground that nobody dug, true less predicted: the prediction's is over the map as
+ * it was seen, so that the calibration's error is in it as in whatever is done to the ground. */
+static void compare_above(rehearse *r, rehearse_round *round, const task_sample *a, const double place[3])
+{
+    static const double SAME_M = 1e-3;
+    double sigma;
+    const double *at = a->tool_true.t;
+    const double ground = td_elevation_at(r->true_before, at[0], at[1], NULL),
+                 after = td_elevation_at(r->true_after, at[0], at[1], NULL),
+                 seen = td_elevation_at(r->map_before, place[0], place[1], &sigma);
+    if (!(fabs(ground - after) < SAME_M) || !isfinite(seen) || !isfinite(sigma)) return;
+    const double off = (at[2] - ground) - (place[2] - seen);
+    round->above_square += off * off;
+    round->sigma_above_square += sigma * sigma + round->monitor.sigma_up_m * round->monitor.sigma_up_m;
+    round->above_count++;
+}
+
 static void compare_tip(rehearse *r, rehearse_round *round)
 {
-    double d[MONITOR_MOST], tip;
+    double d[MONITOR_MOST], tip[3], place[3];
     for (size_t i = 0; i < round->done.count; i++) {
         const task_sample *a = round->done.sample + i;
         if (!monitor_is_free(a) || a->phase != TD_PHASE_EXECUTING) continue;
-        if (!monitor_compare(d, &tip, &round->ahead, a, r->scenario.robot->joint_count)) continue;
-        round->tip_square += tip * tip;
-        round->tip_most_m = fmax(round->tip_most_m, tip);
+        if (!monitor_compare(d, tip, place, &round->ahead, a, r->scenario.robot->joint_count)) continue;
+        const double off = hypot(hypot(tip[0], tip[1]), tip[2]);
+        round->tip_square += off * off;
+        round->tip_most_m = fmax(round->tip_most_m, off);
         round->tip_count++;
+        compare_above(r, round, a, place);
     }
 }
 
@@ -136,9 +187,10 @@ td_status rehearse_compare(rehearse *r, td_error *error)
     r->dug_seen_m3 = cut_between(r->true_before, r->true_after, seen, &r->floor);
     r->predicted_unseen_m3 = r->predicted_m3 - cut_between(r->map_before, predicted, seen, &r->floor);
     const td_status status = td_volume_between(&r->volume, NULL, r->map_before, seen, &o, &why);
-    td_elevation_free(&seen);
+    if (status == TD_ERROR_MEMORY) td_elevation_free(&seen);
     if (status == TD_ERROR_MEMORY) return td_fail(error, status, "%s", why.message);
     if (status != TD_OK) r->volume = (td_volume){.cut_m3 = NAN, .sigma_cut_m3 = NAN};
-    r->sigma_volume_m3 = r->volume.sigma_cut_m3;
+    r->sigma_volume_m3 = sigma_of_volume(r, seen);
+    td_elevation_free(&seen);
     return TD_OK;
 }

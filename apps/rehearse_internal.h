@@ -12,10 +12,11 @@ enum { REHEARSE_MAX_ROUNDS = 8, REHEARSE_MAX_POSES = 8, REHEARSE_MAX_DRAWS = 16,
 
 /* What is true and not known. */
 typedef struct rehearse_truth {
-    double mass_sigma; /* relative, of each link's mass, inertia with it */
-    double soil_sigma; /* relative, of cohesion and adhesion; friction and density by a quarter of it */
-    double soil_times; /* by which cohesion and adhesion are larger besides */
-    double rig_sigma;  /* by which the rig's covariance is multiplied, of standard deviations */
+    double mass_sigma;     /* relative, of each link's mass, inertia with it */
+    double soil_sigma;     /* relative, of cohesion and adhesion; friction and density by a quarter of it */
+    double soil_times;     /* by which cohesion and adhesion are larger besides */
+    double rig_covariance; /* by which the rig's is multiplied: of what is believed and of what is true */
+    double rig_sigma;      /* by which the true one is besides, of standard deviations: a wrong rig */
     double joint_sigma_rad;
     int dark_look; /* from that look on, counted from 1, the cameras see nothing; 0: never */
     int stone_count;
@@ -54,8 +55,8 @@ typedef struct monitor {
     double (*of_motion)[MONITOR_MOST]; /* (motion_count) the same over each motion, at least its phase's */
     size_t *samples;                   /* (motion_count) while learning */
     size_t counts[MONITOR_CLASSES], tip_count;
-    double tip_square;
-    double sigma_tip_m; /* of the true tool's distance, above the ground */
+    double tip_square, up_square;
+    double sigma_tip_m, sigma_up_m; /* of the true tool's distance, above the ground; of its height */
     /* while watching: */
     int motion;
     double since_s;
@@ -73,9 +74,10 @@ void monitor_free(monitor *m);
 void monitor_watch(void *self, const task_sample *sample, bool *deviates, char *why, size_t size);
 /* In no cut, nor on the way in and out of the ground. */
 bool monitor_is_free(const task_sample *a);
-/* Actual less predicted (values, 2 joints + 3), false: nothing was predicted there. */
-bool monitor_compare(double *difference, double *tip_true, const task_run *predicted, const task_sample *a,
-                     int joints);
+/* Actual less predicted (values, 2 joints + 3), the same of the tool as it truly is, and its predicted place;
+ * false: nothing was predicted there. */
+bool monitor_compare(double *difference, double tip[3], double place[3], const task_run *predicted,
+                     const task_sample *a, int joints);
 
 typedef struct rehearse_round {
     task_run ahead, done;
@@ -85,6 +87,8 @@ typedef struct rehearse_round {
     double predicted_m3;           /* around the trench */
     double tip_square, tip_most_m; /* of true less predicted, above the ground */
     size_t tip_count;
+    double above_square, sigma_above_square; /* the same of its height above ground that nobody dug */
+    size_t above_count;
 } rehearse_round;
 
 typedef struct rehearse {
@@ -101,6 +105,7 @@ typedef struct rehearse {
     int looks;
     double look_s;
     double epipolar_px, sigma_epipolar_px;
+    double rig_sigmas; /* by how many of its own sigma the images show the rig off; NaN: none */
     double matched_least;
     double scatter_m; /* of ground as it was predicted, against what was then seen of it */
     td_image *film[REHEARSE_MAX_FILM];
@@ -118,6 +123,8 @@ typedef struct rehearse {
     char why[600];
     double map_rms_m, map_share, clearance_m, probability, real_time;
     double dug_m3, predicted_m3, mass_error_kg;
+    int deadline_misses; /* periods of a task simulated ahead that took longer to compute */
+    int unmeant;         /* executed tasks with contact that was not meant */
     td_volume volume;
     double sigma_volume_m3;
     double unseen_m2, seen_share; /* around the trench: not seen since it was dug, taken as predicted */
@@ -153,8 +160,19 @@ td_status rehearse_move(rehearse *r, const double *q, td_error *error);
 void rehearse_order(rehearse *r, td_event event, uint32_t task_id);
 void rehearse_stop(rehearse *r, const char *format, ...) TD_PRINTF(2, 3);
 
+/* rehearse_contact.c */
+/* Counts what was executed with contact that was not meant. */
+td_status rehearse_touched(rehearse *r, const task_run *run, td_error *error);
+
 /* rehearse_compare.c */
 td_status rehearse_compare(rehearse *r, td_error *error);
+
+/* Of all that was executed, rms; NaN: nothing was. */
+typedef struct rehearse_tip {
+    double rms_m, most_m, sigma_m; /* true less predicted place, above the ground */
+    double above_m, sigma_above_m; /* and height above ground that nobody dug */
+} rehearse_tip;
+rehearse_tip rehearse_tips(const rehearse *r);
 
 extern const td_schema_row rehearse_schema[];
 extern const size_t rehearse_schema_count;

@@ -40,22 +40,30 @@ static void judge(rehearse *r, const look_result *seen)
  */
 static td_status check_rig(rehearse *r, td_error *error)
 {
-    double rms = NAN, sigma = NAN;
+    look_rig rig;
     td_error why = {0};
-    const td_status status = look_epipolar(&rms, &sigma, r->look, &why);
+    const td_status status = look_check(&rig, r->look, &why);
     if (status == TD_ERROR_MEMORY) return td_fail(error, status, "%s", why.message);
     if (status != TD_OK) {
         rehearse_stop(r, "look %d: the rig cannot be checked: %s", r->looks, why.message);
         return TD_OK;
     }
-    const double allowed = EPIPOLAR_TIMES * hypot(EPIPOLAR_NOISE_PX, isfinite(sigma) ? sigma : 0);
-    if (!(rms <= r->epipolar_px)) r->epipolar_px = rms, r->sigma_epipolar_px = sigma;
-    if (rms > allowed)
+    const double allowed =
+        EPIPOLAR_TIMES * hypot(EPIPOLAR_NOISE_PX, isfinite(rig.sigma_px) ? rig.sigma_px : 0);
+    if (!(rig.rms_px <= r->epipolar_px)) r->epipolar_px = rig.rms_px, r->sigma_epipolar_px = rig.sigma_px;
+    if (!(rig.belief.sigmas <= r->rig_sigmas)) r->rig_sigmas = rig.belief.sigmas;
+    if (rig.rms_px > allowed)
         rehearse_stop(
             r,
             "look %d: matches lie %.2f px off their epipolar lines, where the rig's covariance allows "
             "%.2f px: the calibration is not that of this head; calibrate it again",
-            r->looks, rms, allowed);
+            r->looks, rig.rms_px, allowed);
+    if (rig.belief.sigmas > rig.belief.limit)
+        rehearse_stop(r,
+                      "look %d: the images show a rig that is %.1f times its own sigma off, in %d directions "
+                      "that %zu matches see, where %.1f is the most to be believed: the calibration is not "
+                      "that of this head; calibrate it again",
+                      r->looks, rig.belief.sigmas, rig.belief.freedom, rig.belief.inliers, rig.belief.limit);
     return TD_OK;
 }
 
@@ -203,6 +211,28 @@ static void leave_out_edges(td_elevation *recent, const bool *worked)
         }
 }
 
+/* A cell on a step may be as high as the ground on either side, and no higher: its sigma, which stands for
+ * both, is no more than that of a height anywhere between them. */
+static void bound_steps(td_elevation *recent, const bool *worked)
+{
+    enum { REACH = 2, SIDE = 2 * REACH + 1 };
+    static const float LEAST_M = 0.05F;
+    const int columns = recent->columns, rows = recent->rows;
+    for (int row = REACH; row < rows - REACH; row++)
+        for (int c = REACH; c < columns - REACH; c++) {
+            const size_t i = (size_t)row * (size_t)columns + (size_t)c;
+            float low = recent->height[i], high = low;
+            if (!worked[i] || !(recent->sigma[i] > LEAST_M)) continue;
+            for (int k = 0; k < SIDE * SIDE; k++) {
+                const size_t at =
+                    (size_t)(row + k / SIDE - REACH) * (size_t)columns + (size_t)(c + k % SIDE - REACH);
+                low = fminf(low, recent->height[at]);
+                high = fmaxf(high, recent->height[at]);
+            }
+            recent->sigma[i] = fminf(recent->sigma[i], fmaxf(LEAST_M, (high - low) / sqrtf(12)));
+        }
+}
+
 /* The ground as it is known now: where soil was moved, as it was seen since, for what was seen before is no
  * more; elsewhere as it was known, unless what is seen now is something else. What the cameras cannot see, as
  * the ground behind a wall of the trench, is taken as it was predicted, with that as its sigma. */
@@ -232,6 +262,7 @@ static td_status take_map_again(rehearse *r, td_error *error)
     TD_TRY(look_map(&recent, r->look, error));
     td_status status = find_worked(&worked, predicted, error);
     if (status == TD_OK) leave_out_edges(recent, worked);
+    if (status == TD_OK) bound_steps(recent, worked);
     if (status == TD_OK) status = scatter(r, recent, predicted, error);
     if (status == TD_OK) compose(r, recent, predicted, worked);
     free(worked);

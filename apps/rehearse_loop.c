@@ -48,6 +48,9 @@ static td_status read_world(rehearse *r, td_error *error)
                        r->scenario.path);
     TD_TRY(td_rig_read(&r->rig, r->setup->rig_path, error));
     TD_TRY(rehearse_draw_make(&r->truth, r, 0, error));
+    const size_t n = td_rig_parameter_count(r->rig);
+    for (size_t i = 0; r->rig->covariance && i < n * n; i++)
+        r->rig->covariance[i] *= r->setup->truth.rig_covariance;
     const td_status status = td_rig_draw(&r->rig_true, r->rig, r->setup->truth.rig_sigma, &random, error);
     return status == TD_OK ? status : td_error_prefix(error, TD_ERROR_DATA, "%s", r->setup->rig_path);
 }
@@ -102,7 +105,7 @@ td_status rehearse_run(rehearse *r, td_error *error)
     o.singularity = r->scenario.task->singularity;
     td_behaviour_begin(&r->logic, &o);
     r->clearance_m = r->real_time = r->matched_least = INFINITY;
-    r->epipolar_px = r->sigma_epipolar_px = NAN;
+    r->epipolar_px = r->sigma_epipolar_px = r->rig_sigmas = NAN;
     TD_TRY(read_world(r, error));
     TD_TRY(rehearse_look_first(r, error));
     if (r->stopped) return TD_OK;

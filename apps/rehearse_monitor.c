@@ -35,12 +35,11 @@ static void values_of(double *value, const task_sample *a, int joints)
     for (int i = 0; i < 3; i++) value[2 * joints + i] = a->tool.t[i];
 }
 
-bool monitor_compare(double *difference, double *tip_true, const task_run *predicted, const task_sample *a,
-                     int joints)
+bool monitor_compare(double *difference, double tip[3], double place[3], const task_run *predicted,
+                     const task_sample *a, int joints)
 {
     const task_sample *low = NULL, *high = NULL;
     double before[MONITOR_MOST], after[MONITOR_MOST];
-    double off[3];
     if (a->motion < 0) return false;
     for (size_t i = 0; i < predicted->count; i++) {
         const task_sample *p = predicted->sample + i;
@@ -58,9 +57,10 @@ bool monitor_compare(double *difference, double *tip_true, const task_run *predi
     values_of(before, low, joints);
     values_of(after, high, joints);
     for (int k = 0; k < 2 * joints + 3; k++) difference[k] -= before[k] + t * (after[k] - before[k]);
-    for (int i = 0; i < 3; i++)
-        off[i] = a->tool_true.t[i] - (low->tool.t[i] + t * (high->tool.t[i] - low->tool.t[i]));
-    *tip_true = hypot(hypot(off[0], off[1]), off[2]);
+    for (int i = 0; i < 3; i++) {
+        place[i] = low->tool.t[i] + t * (high->tool.t[i] - low->tool.t[i]);
+        tip[i] = a->tool_true.t[i] - place[i];
+    }
     return true;
 }
 
@@ -86,10 +86,10 @@ void monitor_free(monitor *m)
 
 void monitor_learn(monitor *m, const task_run *drawn)
 {
-    double d[MONITOR_MOST], tip;
+    double d[MONITOR_MOST], tip[3], place[3];
     for (size_t i = 0; i < drawn->count; i++) {
         const task_sample *a = drawn->sample + i;
-        if (!monitor_compare(d, &tip, m->predicted, a, m->joints)) continue;
+        if (!monitor_compare(d, tip, place, m->predicted, a, m->joints)) continue;
         const int c = class_of(a);
         for (int k = 0; k < 2 * m->joints + 3; k++) {
             m->sigma[c][k] += d[k] * d[k];
@@ -98,7 +98,8 @@ void monitor_learn(monitor *m, const task_run *drawn)
         m->counts[c]++;
         m->samples[a->motion]++;
         if (!monitor_is_free(a)) continue;
-        m->tip_square += tip * tip;
+        m->tip_square += tip[0] * tip[0] + tip[1] * tip[1] + tip[2] * tip[2];
+        m->up_square += tip[2] * tip[2];
         m->tip_count++;
     }
 }
@@ -116,6 +117,7 @@ void monitor_learnt(monitor *m)
         for (int k = 0; k < most; k++)
             m->of_motion[i][k] = m->samples[i] ? sqrt(m->of_motion[i][k] / (double)m->samples[i]) : 0;
     m->sigma_tip_m = m->tip_count ? sqrt(m->tip_square / (double)m->tip_count) : NAN;
+    m->sigma_up_m = m->tip_count ? sqrt(m->up_square / (double)m->tip_count) : NAN;
 }
 
 /* ---- while it is executed ---- */
@@ -162,14 +164,14 @@ void monitor_watch(void *self, const task_sample *a, bool *deviates, char *why, 
     rehearse *r = self;
     monitor *m = &r->round[r->round_count - 1].monitor;
     const int most = 2 * m->joints + 3;
-    double d[MONITOR_MOST], tip;
+    double d[MONITOR_MOST], tip[3], place[3];
     *deviates = false;
     if (a->motion != m->motion) {
         m->motion = a->motion;
         m->since_s = a->time_s;
         m->filled = m->next = 0;
     }
-    if (!monitor_compare(d, &tip, m->predicted, a, m->joints)) return;
+    if (!monitor_compare(d, tip, place, m->predicted, a, m->joints)) return;
     double sigma[MONITOR_MOST];
     for (int k = 0; k < most; k++) {
         sigma[k] = fmax(m->sigma[class_of(a)][k], m->of_motion[a->motion][k]);

@@ -63,15 +63,16 @@ static void plot(td_report *r, const rehearse_round *o, int joints, int what, in
                  const char *unit)
 {
     const size_t n = o->done.count;
-    double *v = calloc(3 * n + 1, sizeof *v), d[MONITOR_MOST], tip;
+    double *v = calloc(3 * n + 1, sizeof *v), d[MONITOR_MOST], tip[3], place[3];
     const double scale = what == 0 ? DEGREES : what == 1 ? 1e-3 : 1;
     if (!v) return;
     for (size_t i = 0; i < n; i++) {
         const task_sample *a = o->done.sample + i;
         v[i] = a->time_s;
         v[n + i] = pick(a, what, k);
-        v[2 * n + i] =
-            monitor_compare(d, &tip, &o->ahead, a, joints) ? v[n + i] - scale * d[what * joints + k] : NAN;
+        v[2 * n + i] = monitor_compare(d, tip, place, &o->ahead, a, joints)
+                           ? v[n + i] - scale * d[what * joints + k]
+                           : NAN;
     }
     const td_series series[] = {
         {.label = "predicted", .shape = TD_SHAPE_LINE, .count = n, .x = v, .y = v + 2 * n},

@@ -78,6 +78,7 @@ static td_status simulate(task_run *run, rehearse *r, const scenario *s, const t
     const td_status status = task_run_in(run, s, w, r->progress, error);
     station_free(&w->station);
     TD_TRY(status);
+    r->deadline_misses += run->late;
     if (run->time_s > 0 && run->cpu_s > 0) r->real_time = fmin(r->real_time, run->time_s / run->cpu_s);
     r->clearance_m = fmin(r->clearance_m, run->dug.clearance_m);
     r->probability = fmax(r->probability, run->dug.probability);
@@ -171,6 +172,7 @@ static td_status execute(task_run *run, rehearse *r, const scenario *s, const td
     w->zero = r->truth.zero;
     w->logic = &r->logic;
     TD_TRY(task_run_in(run, s, w, r->progress, error));
+    TD_TRY(rehearse_touched(r, run, error));
     r->clearance_m = fmin(r->clearance_m, run->dug.clearance_m);
     r->probability = fmax(r->probability, run->dug.probability);
     if (r->logic.phase != TD_PHASE_MONITORING)

@@ -105,6 +105,7 @@ typedef struct task_run {
     task_inputs input;   /* as handed in */
     td_integrator_counters counters;
     double time_s, cpu_s;
+    int late;         /* periods that took longer to compute than they last */
     double planned_s; /* of the motions planned */
     td_phase phase;   /* at the end */
     td_fault fault;
