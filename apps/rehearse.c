@@ -7,7 +7,7 @@
 #include "core/file.h"
 #include "core/number.h"
 
-static const char *scenario_path;
+static const char *scenario_path, *replay_path;
 static cli_common common;
 static cli_list gates, covariances;
 static bool accept;
@@ -22,14 +22,18 @@ static cli_option options[] = {
      "the rig's covariance is so many times what the rig says, as it is believed and as the truth is drawn "
      "from; with --seeds it may be repeated: a row of the table each. 0: known exactly",
      0, 0, NULL},
+    {CLI_STRING, "replay", 0, &replay_path, "MCAP",
+     "an earlier recording.mcap of the same rehearsal: its seed and covariance, so the same bytes", 0, 0,
+     NULL},
     {.type = CLI_HEADING, .name = "The quality gate"},
     {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
     {CLI_FLAG, "accept", 0, &accept, NULL, "end with status 0 even when the gate refuses", 0, 0, NULL},
-    CLI_COMMON_OPTIONS(common,
-                       "folder for the products: before.tif, after.tif, truth.tif (after), round-N/ahead and "
-                       "round-N/done with trajectory.csv, events.csv and recording.mcap, result.yaml, "
-                       "report.html, log.jsonl",
-                       "what is true and not known; the cameras' noise"),
+    CLI_COMMON_OPTIONS(
+        common,
+        "folder for the products: before.tif, after.tif, truth.tif (after), recording.mcap (all "
+        "that was executed), round-N/ahead and round-N/done with trajectory.csv, events.csv and "
+        "recording.mcap, result.yaml, report.html, log.jsonl",
+        "what is true and not known; the cameras' noise"),
 };
 
 static cli_command command = {
@@ -59,6 +63,7 @@ static cli_command command = {
         "Exit status: 0 done, 1 failed, 2 wrong usage, 3 the gate refuses the result (--accept).",
     .examples = "  teledimos rehearse datasets/zx200/trench.yaml -o rehearsed\n"
                 "  teledimos rehearse datasets/zx200/trench.yaml -o other --seed 7\n"
+                "  teledimos rehearse datasets/zx200/trench.yaml -o again --replay other/recording.mcap\n"
                 "  teledimos rehearse datasets/zx200/trench.yaml -o twenty --seeds 20\n"
                 "  teledimos rehearse datasets/zx200/trench.yaml -o chain --seeds 4 --rig-covariance 0 "
                 "--rig-covariance 1 --rig-covariance 4 --rig-covariance 16\n",
@@ -142,6 +147,9 @@ static td_status run(rehearse *r, rehearse_setup *setup, job *j)
     if (covariances.count) setup->truth.rig_covariance = times[0];
     r->setup = setup;
     r->seed = (uint64_t)common.seed;
+    if (replay_path && seed_count)
+        return td_fail(&j->error, TD_ERROR_ARGUMENT, "--replay and --seeds: one of them");
+    if (replay_path) TD_TRY(rehearse_replay(r, setup, replay_path, &j->error));
     r->threads = common.threads;
     r->progress = &j->progress;
     td_status status = rehearse_run(r, &j->error);

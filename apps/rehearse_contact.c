@@ -9,6 +9,7 @@
 
 static const double FELT_N = 2000;   /* of the soil on the bucket: less is what sticks and trickles */
 static const double SURELY_M = 1e-3; /* sigma of ground that is known */
+static const double PUSHED_M = 0.03;
 static const double DEEPER_M = 0.05; /* contact of links: as wide as a cell of the ground is rough */
 
 static bool is_felt(const task_run *run)
@@ -54,6 +55,21 @@ static td_status check_part(double *met, const rehearse *r, const task_run *run,
     return status;
 }
 
+/* A stone that was pushed. */
+static bool is_pushed(rehearse *r)
+{
+    bool pushed = false;
+    for (int i = 0; i < r->truth.ground.stone_count; i++) {
+        double *was = r->stone_at[i];
+        td_pose at;
+        if (!station_stone(&at, r->station, i)) continue;
+        pushed = pushed || (r->stones_lie && hypot(at.t[0] - was[0], at.t[1] - was[1]) > PUSHED_M);
+        for (int k = 0; k < 3; k++) was[k] = at.t[k];
+    }
+    r->stones_lie = true;
+    return pushed;
+}
+
 td_status rehearse_touched(rehearse *r, const task_run *run, td_error *error)
 {
     double met = 0;
@@ -69,6 +85,8 @@ td_status rehearse_touched(rehearse *r, const task_run *run, td_error *error)
         TD_TRY(check_part(&met, r, run, first, count, run->ground[ground].map, error));
         first += count;
     }
-    r->unmeant += is_felt(run) || met > DEEPER_M;
+    /* What stopped the machine has been told. */
+    const bool touched = is_pushed(r) || is_felt(run) || met > DEEPER_M;
+    r->unmeant += touched && r->logic.phase == TD_PHASE_MONITORING;
     return TD_OK;
 }

@@ -20,7 +20,7 @@ typedef struct rehearse_truth {
     double joint_sigma_rad;
     int dark_look; /* from that look on, counted from 1, the cameras see nothing; 0: never */
     int stone_count;
-    td_world_stone stone[STATION_MAX_STONES]; /* that no map shows */
+    td_world_stone stone[STATION_MAX_STONES]; /* that no earlier map shows; the cameras see what stands out */
 } rehearse_truth;
 
 typedef struct rehearse_setup {
@@ -91,6 +91,14 @@ typedef struct rehearse_round {
     size_t above_count;
 } rehearse_round;
 
+/* What was executed, in order; without a run: what was told then. */
+enum { REHEARSE_MAX_PARTS = 2 * REHEARSE_MAX_ROUNDS * (REHEARSE_MAX_POSES + 2) };
+typedef struct rehearse_part {
+    char text[700];
+    task_run *run; /* of a round, or `own` */
+    task_run own;
+} rehearse_part;
+
 typedef struct rehearse {
     const rehearse_setup *setup;
     scenario scenario; /* as believed */
@@ -115,6 +123,8 @@ typedef struct rehearse {
     td_elevation *map, *map_before;
     td_elevation *true_before, *true_after;
     td_behaviour logic;
+    size_t part_count;
+    rehearse_part part[REHEARSE_MAX_PARTS];
     int round_count;
     rehearse_round round[REHEARSE_MAX_ROUNDS + 1];
     td_dig_floor floor;
@@ -124,7 +134,9 @@ typedef struct rehearse {
     double map_rms_m, map_share, clearance_m, probability, real_time;
     double dug_m3, predicted_m3, mass_error_kg;
     int deadline_misses; /* periods of a task simulated ahead that took longer to compute */
-    int unmeant;         /* executed tasks with contact that was not meant */
+    bool stones_lie;     /* where they lay after the last task: */
+    double stone_at[STATION_MAX_STONES][3];
+    int unmeant; /* executed tasks with contact that was not meant */
     td_volume volume;
     double sigma_volume_m3;
     double unseen_m2, seen_share; /* around the trench: not seen since it was dug, taken as predicted */
@@ -144,6 +156,9 @@ td_status rehearse_look_first(rehearse *r, td_error *error);
 /* Through the arm's poses, each a task of its own; with what has been dug. */
 td_status rehearse_look_again(rehearse *r, td_error *error);
 
+/* What the cameras see of stones: the scene's ground, raised over them where they lie. */
+void rehearse_show_stones(rehearse *r);
+
 /* rehearse_imagine.c */
 /* The machine on the map, standing as the true one is measured to stand. `draw`: as it may be; NULL: as it is
  * believed to be. */
@@ -159,6 +174,14 @@ td_status rehearse_move(rehearse *r, const double *q, td_error *error);
 /* The behaviour is handed one order of the operator. */
 void rehearse_order(rehearse *r, td_event event, uint32_t task_id);
 void rehearse_stop(rehearse *r, const char *format, ...) TD_PRINTF(2, 3);
+
+/* rehearse_record.c */
+/* Keeps a session, or a line, for the recording. `run` (may be NULL) is taken over where `own`, else lent. */
+void rehearse_keep(rehearse *r, task_run *run, bool own, const char *format, ...) TD_PRINTF(4, 5);
+/* recording.mcap: all that was executed. */
+td_status rehearse_record(const rehearse *r, const char *folder, td_error *error);
+/* The seed and the rig's covariance of an earlier recording of the same rehearsal. */
+td_status rehearse_replay(rehearse *r, rehearse_setup *setup, const char *path, td_error *error);
 
 /* rehearse_contact.c */
 /* Counts what was executed with contact that was not meant. */

@@ -270,6 +270,24 @@ static td_status take_map_again(rehearse *r, td_error *error)
     return status;
 }
 
+void rehearse_show_stones(rehearse *r)
+{
+    td_elevation *g = r->scene->scene.ground;
+    for (int i = 0; i < r->truth.ground.stone_count; i++) {
+        const td_world_stone *stone = r->truth.ground.stone + i;
+        const double radius = stone->shape.size[0];
+        td_pose at = stone->shape.link_from_shape;
+        if (r->station && !station_stone(&at, r->station, i)) continue;
+        for (int row = 0; row < g->rows; row++)
+            for (int c = 0; c < g->columns; c++) {
+                float *z = g->height + (size_t)row * (size_t)g->columns + (size_t)c;
+                const double off =
+                    hypot(g->origin[0] + c * g->cell_m - at.t[0], g->origin[1] + row * g->cell_m - at.t[1]);
+                if (off < radius) *z = fmaxf(*z, (float)(at.t[2] + sqrt(radius * radius - off * off)));
+            }
+    }
+}
+
 /* The scene's ground becomes what the machine has made of it. */
 static td_status change_ground(rehearse *r, td_error *error)
 {
@@ -278,6 +296,7 @@ static td_status change_ground(rehearse *r, td_error *error)
     TD_TRY(station_map(&now, r->station, error));
     memcpy(ground->height, now->height,
            (size_t)ground->columns * (size_t)ground->rows * sizeof *ground->height);
+    rehearse_show_stones(r);
     look_ground_changed(r->look, 0, 0, ground->columns, ground->rows);
     return TD_OK;
 }

@@ -199,6 +199,7 @@ static json_t *products_json(const rehearse *r)
     if (r->map_before) set(o, "before", json_string("before.tif"));
     if (r->map_before && r->map) set(o, "after", json_string("after.tif"));
     if (r->true_after) set(o, "truth", json_string("truth.tif"));
+    if (r->part_count) set(o, "recording", json_string("recording.mcap"));
     for (int i = 0; i < r->round_count; i++) {
         char key[40], path[60];
         snprintf(key, sizeof key, "ahead_%d", i + 1);
@@ -338,6 +339,7 @@ td_status rehearse_write(const rehearse *r, const char *folder, td_error *error)
     TD_TRY(write_map(r->map_before, folder, "before.tif", error));
     if (r->map_before) TD_TRY(write_map(r->map, folder, "after.tif", error));
     TD_TRY(write_map(r->true_after, folder, "truth.tif", error));
+    if (r->part_count) TD_TRY(rehearse_record(r, folder, error));
     for (int i = 0; i < r->round_count; i++) {
         TD_TRY(write_run(&r->round[i].ahead, r, folder, i, "ahead", error));
         if (r->round[i].executed) TD_TRY(write_run(&r->round[i].done, r, folder, i, "done", error));

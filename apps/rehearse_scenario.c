@@ -16,7 +16,8 @@
  *     rig_sigma: 1                (the truth so many sigma off, whatever is believed: a wrong rig)
  *     joint_sigma_deg: 0.05       (of the joints' zeros)
  *     dark_look: 0                (from that look on, counted from 1, the cameras are dark; 0: never)
- *     stones: [{at_m: …}]         (in nobody's map; as a scenario's ground has them)
+ *     stones: [{at_m: …}]         (as a scenario's ground has them; in no map but what the cameras see
+ *                                 of them where they stand out of the ground)
  *   look:
  *     before: 1..5                (frames of the scene: where the machine looked from as it came)
  *     frames: 3                   (pairs in each pose, after digging)
@@ -58,7 +59,7 @@ static td_status read_stone(td_world_stone *stone, const td_field *field, td_err
                               .friction = 0.6};
     TD_TRY(td_field_reals(stone->shape.link_from_shape.t, 3, &at, -1e5, 1e5, error));
     TD_TRY(td_field_real(stone->shape.size, &radius, 0.01, 5, error));
-    TD_TRY(real(&stone->density, field, "density_kg_m3", 100, 1e4, error));
+    TD_TRY(real(&stone->density, field, "density_kg_m3", 0, 1e4, error));
     return real(&stone->friction, field, "friction", 0, 10, error);
 }
 

@@ -213,6 +213,7 @@ static td_status move(rehearse *r, const scenario *s, const td_elevation *map, t
     task_world first = {0}, then = {0};
     td_status status = simulate(&ahead, r, s, map, &first, error);
     if (status == TD_OK && !r->stopped) status = execute(&done, r, s, map, &ahead, &then, error);
+    if (status == TD_OK && done.count) rehearse_keep(r, &done, true, "the arm moved for a look");
     task_run_free(&ahead);
     task_run_free(&done);
     return status;
