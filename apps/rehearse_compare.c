@@ -173,12 +173,15 @@ td_status rehearse_compare(rehearse *r, td_error *error)
         rehearse_round *round = r->round + i;
         if (!round->executed) continue;
         round->predicted_m3 = cut_between(r->map_before, round->ahead.after, NULL, &r->floor);
-        predicted = round->ahead.after;
+        predicted = i < r->looked ? round->ahead.after : NULL; /* not looked at: nothing is measured */
         r->predicted_m3 = round->predicted_m3;
         compare_tip(r, round);
     }
-    if (!(r->planned_m3 > 0) || !predicted) return TD_OK;
+    if (!(r->planned_m3 > 0)) return TD_OK;
     r->dug_m3 = cut_between(r->true_before, r->true_after, NULL, &r->floor);
+    r->volume.cut_m3 = r->sigma_volume_m3 = r->seen_share = r->dug_seen_m3 = NAN;
+    r->unseen_m2 = r->predicted_unseen_m3 = NAN;
+    if (!predicted) return TD_OK;
     corners(polygon, &r->floor);
     o.polygon = (const double(*)[2])polygon;
     o.polygon_count = 4;

@@ -125,6 +125,7 @@ typedef struct rehearse {
     td_behaviour logic;
     size_t part_count;
     rehearse_part part[REHEARSE_MAX_PARTS];
+    int looked; /* rounds whose work has been looked at */
     int round_count;
     rehearse_round round[REHEARSE_MAX_ROUNDS + 1];
     td_dig_floor floor;

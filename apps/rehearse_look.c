@@ -265,6 +265,7 @@ static td_status take_map_again(rehearse *r, td_error *error)
     if (status == TD_OK) bound_steps(recent, worked);
     if (status == TD_OK) status = scatter(r, recent, predicted, error);
     if (status == TD_OK) compose(r, recent, predicted, worked);
+    r->looked = r->round_count;
     free(worked);
     td_elevation_free(&recent);
     return status;

@@ -52,13 +52,13 @@ const td_schema_row rehearse_schema[] = {
      "of it above the floor in the last map that was planned on"},
     {"predicted_volume_m3", TD_SCHEMA_REAL, true, false, "cut around the trench, as simulated ahead"},
     {"dug_volume_m3", TD_SCHEMA_REAL, true, false, "cut there in truth"},
-    {"dug_seen_m3", TD_SCHEMA_REAL, true, false, "of it, where the last map has seen the ground since"},
+    {"dug_seen_m3", TD_SCHEMA_REAL, true, true, "of it, where the last map has seen the ground since"},
     {"measured_volume_m3", TD_SCHEMA_REAL, true, true,
      "cut there between the first map and the last, where it is seen"},
     {"sigma_volume_m3", TD_SCHEMA_REAL, true, true, "of the measured volume"},
-    {"seen_share", TD_SCHEMA_REAL, true, false, "of the area around the trench, seen since it was dug"},
-    {"unseen_m2", TD_SCHEMA_REAL, true, false, "the rest of it: taken as predicted"},
-    {"predicted_unseen_m3", TD_SCHEMA_REAL, true, false, "cut there, as simulated ahead"},
+    {"seen_share", TD_SCHEMA_REAL, true, true, "of the area around the trench, seen since it was dug"},
+    {"unseen_m2", TD_SCHEMA_REAL, true, true, "the rest of it: taken as predicted"},
+    {"predicted_unseen_m3", TD_SCHEMA_REAL, true, true, "cut there, as simulated ahead"},
     {"prediction_scatter_m", TD_SCHEMA_REAL, true, false,
      "ground as predicted less as then seen, where soil was moved: 68 % are less"},
     {"mass_error_kg", TD_SCHEMA_REAL, true, false, "all soil at the end less all soil at first: 0"},
@@ -271,10 +271,25 @@ json_t *rehearse_result(const rehearse *r)
 
 /* ---- on the terminal ---- */
 
+static void motion_table(const rehearse *r)
+{
+    const rehearse_tip tip = rehearse_tips(r);
+    printf("trench of %.3f m3: %.3f predicted, %.3f dug; %.3f left\n", r->planned_m3, r->predicted_m3,
+           r->dug_m3, r->left_m3);
+    printf("where it is seen (%.0f %%): %.3f +- %.3f m3 measured, %.3f dug; unseen: %.3f m3 predicted, %.3f "
+           "dug\n",
+           100 * r->seen_share, r->volume.cut_m3, r->sigma_volume_m3, r->dug_seen_m3, r->predicted_unseen_m3,
+           r->dug_m3 - r->dug_seen_m3);
+    printf("tool %.3f m off its prediction (%.3f at most), sigma %.3f m; its height above the ground %.3f m "
+           "off, "
+           "sigma %.3f m; clearance %.2f m, contact %.2g; mass off by %g kg\n",
+           tip.rms_m, tip.most_m, tip.sigma_m, tip.above_m, tip.sigma_above_m, r->clearance_m, r->probability,
+           r->mass_error_kg);
+}
+
 void rehearse_table(const void *done)
 {
     const rehearse *r = done;
-    const rehearse_tip tip = rehearse_tips(r);
     printf("%-6s %7s %10s %9s %9s %8s %8s %8s\n", "round", "passes", "above m3", "ahead s", "done s",
            "joint/s", "force/s", "tool/s");
     for (int i = 0; i < r->round_count; i++) {
@@ -289,17 +304,7 @@ void rehearse_table(const void *done)
         "map off by %.3f m rms, %.0f %% within sigma\n",
         r->looks, r->epipolar_px, r->sigma_epipolar_px, 100 * r->matched_least, r->map_rms_m,
         100 * r->map_share);
-    printf("trench of %.3f m3: %.3f predicted, %.3f dug; %.3f left\n", r->planned_m3, r->predicted_m3,
-           r->dug_m3, r->left_m3);
-    printf("where it is seen (%.0f %%): %.3f +- %.3f m3 measured, %.3f dug; unseen: %.3f m3 predicted, %.3f "
-           "dug\n",
-           100 * r->seen_share, r->volume.cut_m3, r->sigma_volume_m3, r->dug_seen_m3, r->predicted_unseen_m3,
-           r->dug_m3 - r->dug_seen_m3);
-    printf("tool %.3f m off its prediction (%.3f at most), sigma %.3f m; its height above the ground %.3f m "
-           "off, "
-           "sigma %.3f m; clearance %.2f m, contact %.2g; mass off by %g kg\n",
-           tip.rms_m, tip.most_m, tip.sigma_m, tip.above_m, tip.sigma_above_m, r->clearance_m, r->probability,
-           r->mass_error_kg);
+    if (executed(r)) motion_table(r);
     printf("\nverdict: %s\n", verdict_name(r->gate.verdict));
     for (size_t i = 0; i < r->gate.count; i++) printf("  - %s\n", r->gate.reason[i]);
 }

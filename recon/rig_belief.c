@@ -6,9 +6,9 @@
 
 #include "core/linalg.h"
 
-enum { LEAST_MATCHES = 30, ROUNDS = 6 };
+enum { LEAST_MATCHES = 30, ROUNDS = 10 };
 
-static const double FIRST_NOISE_PX = 0.1, LEAST_NOISE_PX = 0.01;
+static const double LEAST_NOISE_PX = 0.01;
 static const double CUT = 3;      /* times the noise: beyond, a match is none */
 static const double SEEN = 4;     /* least eigenvalue */
 static const double RARE = 3.719; /* standard normal: one in ten thousand above */
@@ -132,6 +132,20 @@ static void sum(normal *s, const td_rig_belief *b)
         for (size_t j = 0; j < k; j++) s->m[j * n + k] = s->m[k * n + j];
 }
 
+/* What z leaves, and its robust spread. */
+static void find_off(normal *s, const td_rig_belief *b)
+{
+    const size_t n = b->n;
+    for (size_t i = 0; i < b->count; i++) {
+        const double *row = b->row + i * (n + 1);
+        s->off[i] = row[n];
+        for (size_t k = 0; k < n; k++) s->off[i] -= row[k] * s->z[k];
+        s->size[i] = fabs(s->off[i]);
+    }
+    qsort(s->size, b->count, sizeof *s->size, by_value);
+    s->noise = fmax(LEAST_NOISE_PX, 1.4826 * s->size[b->count / 2]);
+}
+
 /* z of most probability, without a belief in its size; then the noise anew. */
 static td_status solve(normal *s, const td_rig_belief *b, td_error *error)
 {
@@ -144,14 +158,7 @@ static td_status solve(normal *s, const td_rig_belief *b, td_error *error)
         s->z[k] = 0;
         for (size_t j = 0; j < n; j++) s->z[k] += s->work[k * n + j] * s->b[j];
     }
-    for (size_t i = 0; i < b->count; i++) {
-        const double *row = b->row + i * (n + 1);
-        s->off[i] = row[n];
-        for (size_t k = 0; k < n; k++) s->off[i] -= row[k] * s->z[k];
-        s->size[i] = fabs(s->off[i]);
-    }
-    qsort(s->size, b->count, sizeof *s->size, by_value);
-    s->noise = fmax(LEAST_NOISE_PX, 1.4826 * s->size[b->count / 2]);
+    find_off(s, b);
     return TD_OK;
 }
 
@@ -197,9 +204,9 @@ td_status td_rig_belief_check(td_rig_belief_result *result, const td_rig_belief 
                 .b = memory + 2 * n * n,
                 .z = memory + 2 * n * n + n,
                 .off = memory + 2 * n * n + 2 * n,
-                .size = memory + 2 * n * n + 2 * n + b->count,
-                .noise = FIRST_NOISE_PX};
+                .size = memory + 2 * n * n + 2 * n + b->count};
     td_status status = TD_OK;
+    find_off(&s, b);
     for (int i = 0; i < ROUNDS && status == TD_OK; i++) {
         sum(&s, b);
         status = solve(&s, b, error);
