@@ -4,8 +4,8 @@ The happy way: the trench is dug in the true world, which is off in masses, soil
 where the ground is seen agrees with the truth there within 5 % and 2 of its sigma; the maps are read anew with numpy, and the
 floor that is seen is held against truth.tif. The tool is where it was predicted within 3 sigma. No soil is lost, nothing touched
 that was not to. The recording, replayed, gives the same bytes of every product.
-The ways it goes wrong each stop it, with the reason, before or while the machine moves: a calibration that is not the head's (60
-and 10 of its sigma), a trench on ground that nobody saw; with TELEDIMOS_FULL=1 also a camera that goes dark after the digging, soil
+The ways it goes wrong each stop it, with the reason, before or while the machine moves: a calibration that is ten of
+its sigma off, a trench on ground that nobody saw; with TELEDIMOS_FULL=1 also one sixty sigma off, a camera that goes dark after the digging, soil
 ten times harder, a rock buried in the trench, one that lies there, and one in the way of the bucket, which is passed or told; and
 --seeds over three seeds and two covariances, whose errors and sigma grow together. What a rehearsal cannot be is named.
 
@@ -151,7 +151,7 @@ def passed_or_told(folder, name, **how):
 
 
 def many(folder):
-    path = rehearsal(folder, "many")
+    path = rehearsal(folder, "many", truth="mass_sigma: 0, soil_sigma: 0, joint_sigma_deg: 0")
     r = rehearse(path, os.path.join(folder, "many"), "--seeds", "3", "--rig-covariance", "1", "--rig-covariance", "36", "--accept")
     one, more = r["covariances"]
     check(len(r["seeds"]) == 6 and one["seeds"] == more["seeds"] == 3, "three seeds of two covariances")
@@ -163,11 +163,11 @@ def many(folder):
 
 
 def failures(folder):
-    stopped(folder, "turned", ("calibrat",), False, truth="rig_sigma: 60")
     stopped(folder, "ten", ("calibrat", "sigma"), False, truth="rig_sigma: 10")
     stopped(folder, "unseen", ("unknown",), False, before="3..3")
     if not FULL:
         return
+    stopped(folder, "turned", ("calibrat",), False, truth="rig_sigma: 60")
     stopped(folder, "dark", ("camera is dark",), True, truth="dark_look: 6")
     stopped(folder, "hard", ("stopped safely",), True, truth="soil_times: 10")
     stopped(folder, "buried", ("stopped safely",), True,
