@@ -276,10 +276,12 @@ static void motion_table(const rehearse *r)
     const rehearse_tip tip = rehearse_tips(r);
     printf("trench of %.3f m3: %.3f predicted, %.3f dug; %.3f left\n", r->planned_m3, r->predicted_m3,
            r->dug_m3, r->left_m3);
-    printf("where it is seen (%.0f %%): %.3f +- %.3f m3 measured, %.3f dug; unseen: %.3f m3 predicted, %.3f "
-           "dug\n",
-           100 * r->seen_share, r->volume.cut_m3, r->sigma_volume_m3, r->dug_seen_m3, r->predicted_unseen_m3,
-           r->dug_m3 - r->dug_seen_m3);
+    if (isfinite(r->seen_share))
+        printf(
+            "where it is seen (%.0f %%): %.3f +- %.3f m3 measured, %.3f dug; unseen: %.3f m3 predicted, %.3f "
+            "dug\n",
+            100 * r->seen_share, r->volume.cut_m3, r->sigma_volume_m3, r->dug_seen_m3, r->predicted_unseen_m3,
+            r->dug_m3 - r->dug_seen_m3);
     printf("tool %.3f m off its prediction (%.3f at most), sigma %.3f m; its height above the ground %.3f m "
            "off, "
            "sigma %.3f m; clearance %.2f m, contact %.2g; mass off by %g kg\n",
