@@ -222,16 +222,8 @@ td_status seeds_write(const seeds *s, const char *folder, td_error *error)
 
 static void report_sums(td_report *r, const seeds *s)
 {
-    static const char *const columns[] = {"rig's covariance ×",
-                                          "seeds",
-                                          "ended",
-                                          "volume within 5 %",
-                                          "within 2 sigma",
-                                          "tool m",
-                                          "sigma m",
-                                          "above ground m",
-                                          "sigma m",
-                                          "contacts"};
+    static const char *const columns[] = {"rig ×",  "seeds",   "ended",   "in 5 %",  "in 2 sigma",
+                                          "tool m", "sigma m", "above m", "sigma m", "contacts"};
     td_report_table_begin(r, columns, sizeof columns / sizeof *columns);
     for (size_t i = 0; i < s->sum_count; i++) {
         const seeds_sum *u = s->sum + i;
@@ -252,9 +244,8 @@ static void report_sums(td_report *r, const seeds *s)
 
 static void report_rows(td_report *r, const seeds *s)
 {
-    static const char *const columns[] = {
-        "seed",    "rig's covariance ×", "measured m³", "dug m³ there", "tool m",
-        "sigma m", "above ground m",     "sigma m",     "rig in sigma", "stopped"};
+    static const char *const columns[] = {"seed",    "rig ×",   "measured m³", "dug m³",     "tool m",
+                                          "sigma m", "above m", "sigma m",     "rig, sigma", "stopped"};
     td_report_table_begin(r, columns, sizeof columns / sizeof *columns);
     for (size_t i = 0; i < s->count; i++) {
         const seeds_row *w = s->row + i;
@@ -279,9 +270,13 @@ td_status seeds_report(const void *done, const char *path, td_error *error)
     td_report *r = td_report_new(s->name, "the same rehearsal with many truths");
     gate_report(r, &s->gate);
     td_report_heading(r, "By the rig's covariance");
-    td_report_text(r, "Medians over the seeds. The rig's covariance is multiplied in what is believed and in "
-                      "what is true alike: errors and their predicted sigma should grow together, and shrink "
-                      "to what matching leaves where the rig is known exactly.");
+    td_report_text(
+        r,
+        "Medians over the seeds. The rig's covariance is multiplied in what is believed and in what is true "
+        "alike: errors and their predicted sigma should grow together, and shrink to what matching and the "
+        "machine leave where the rig is known exactly. in 5 %%, in 2 sigma: the measured volume, of the true "
+        "one where the ground is seen. tool: its true place less the predicted; above: its height above the "
+        "ground, likewise.");
     report_sums(r, s);
     td_report_heading(r, "Each");
     report_rows(r, s);
