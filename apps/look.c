@@ -15,7 +15,7 @@ struct look {
     td_depth_camera *depth;
     td_fusion *fusion;
     td_pair pair;
-    td_rig_belief *belief; /* NULL: the rig has no covariance */
+    td_rig_belief *belief;   /* NULL: the rig has no covariance */
     td_image *raw[2], *left; /* of the last pair */
 };
 
@@ -173,8 +173,7 @@ td_status look_check(look_rig *rig, look *l, td_error *error)
     o.threads = l->options.dense.threads;
     *rig = (look_rig){.rms_px = NAN, .sigma_px = NAN, .belief = {.sigmas = NAN, .limit = NAN}};
     if (!l->raw[0]) return td_fail(error, TD_ERROR_ARGUMENT, "no pair of images yet");
-    td_status status =
-        td_match_automatic(&match, &count, &tally, &l->pair, l->raw[0], l->raw[1], &o, error);
+    td_status status = td_match_automatic(&match, &count, &tally, &l->pair, l->raw[0], l->raw[1], &o, error);
     if (status == TD_OK) status = td_epipolar_gate_check(&gate, &l->pair, match, count, error);
     for (size_t i = 0; status == TD_OK && i < count; i++) {
         const double sigma = td_pair_residual_sigma(&l->pair, match[i].left, match[i].right);

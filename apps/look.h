@@ -44,7 +44,7 @@ td_status look_map(td_elevation **map, const look *l, td_error *error);
 td_status look_anew(look *l, td_error *error);
 /* A rig that is not believed rightly shows itself. Refused: no pair yet; too few matches. */
 typedef struct look_rig {
-    double rms_px;   /* of robust matches of the last pair off their epipolar curves (recon/epipolar_gate.h) */
+    double rms_px;   /* of robust matches of the last pair off their curves (recon/epipolar_gate.h) */
     double sigma_px; /* what the believed rig's covariance allows; NaN: it has none */
     td_rig_belief_result belief; /* of the pairs checked since look_anew, together (recon/rig_belief.h) */
 } look_rig;

@@ -4,8 +4,8 @@ The happy way: the trench is dug in the true world, which is off in masses, soil
 where the ground is seen agrees with the truth there within 5 % and 2 of its sigma; the maps are read anew with numpy, and the
 floor that is seen is held against truth.tif. The tool is where it was predicted within 3 sigma. No soil is lost, nothing touched
 that was not to. The recording, replayed, gives the same bytes of every product.
-The ways it goes wrong each stop it, with the reason, before or while the machine moves: a calibration that is ten of
-its sigma off, a trench on ground that nobody saw; with TELEDIMOS_FULL=1 also one sixty sigma off, a camera that goes dark after the digging, soil
+The ways it goes wrong each stop it, with the reason, before or while the machine moves: a calibration that is ten of its sigma off,
+a trench on ground that nobody saw; with TELEDIMOS_FULL=1 also one sixty sigma off, a camera that goes dark after the digging, soil
 ten times harder, a rock buried in the trench, one that lies there, and one in the way of the bucket, which is passed or told; and
 --seeds over three seeds and two covariances, whose errors and sigma grow together. What a rehearsal cannot be is named.
 
@@ -128,7 +128,8 @@ def happy(folder):
     middle = numpy.nanmedian(numpy.abs(floor))
     check(middle < 0.04, f"the floor of the trench as seen is {middle:.3f} m off the truth")
     again = os.path.join(folder, "again")
-    rehearse(os.path.join(folder, "happy.yaml"), again, "--replay", os.path.join(out, "recording.mcap"), "--accept", "--threads", "1")
+    rehearse(os.path.join(folder, "happy.yaml"), again, "--replay", os.path.join(out, "recording.mcap"), "--accept", "--threads",
+             "1")
     for name in PRODUCTS:
         check(filecmp.cmp(os.path.join(out, name), os.path.join(again, name), False), f"the same bytes again: {name}")
     other = rehearsal(folder, "other-one", truth="soil_sigma: 0.1")
@@ -152,7 +153,8 @@ def passed_or_told(folder, name, **how):
 
 def many(folder):
     path = rehearsal(folder, "many", truth="mass_sigma: 0, soil_sigma: 0, joint_sigma_deg: 0")
-    r = rehearse(path, os.path.join(folder, "many"), "--seeds", "3", "--rig-covariance", "1", "--rig-covariance", "36", "--accept")
+    r = rehearse(path, os.path.join(folder, "many"), "--seeds", "3", "--rig-covariance", "1", "--rig-covariance", "36",
+                 "--accept")
     one, more = r["covariances"]
     check(len(r["seeds"]) == 6 and one["seeds"] == more["seeds"] == 3, "three seeds of two covariances")
     check(one["ended"] == 3 and one["mass_error_max_kg"] < 1e-6 and one["unmeant_contacts"] == 0, f"all came to their end: {one}")
