@@ -76,7 +76,7 @@ def rehearsal(folder, name, truth="", before="1..5", more=""):
 
 
 def rehearse(path, out, *options, status=0):
-    code, text, errors = run("rehearse", path, "-o", out, "--json", *options)
+    code, text, errors = run("rehearse", path, "-o", out, "--json", *options, timeout=1500)
     if code != status:
         check(False, f"rehearse {path} {' '.join(options)}: status {code} {errors.strip()} {text[:1500]}")
         finish()
