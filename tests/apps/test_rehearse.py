@@ -153,7 +153,7 @@ def passed_or_told(folder, name, **how):
 
 def many(folder):
     path = rehearsal(folder, "many", truth="mass_sigma: 0, soil_sigma: 0, joint_sigma_deg: 0")
-    r = rehearse(path, os.path.join(folder, "many"), "--seeds", "3", "--rig-covariance", "1", "--rig-covariance", "36",
+    r = rehearse(path, os.path.join(folder, "many"), "--seeds", "3", "--rig-covariance", "0", "--rig-covariance", "100",
                  "--accept")
     one, more = r["covariances"]
     check(len(r["seeds"]) == 6 and one["seeds"] == more["seeds"] == 3, "three seeds of two covariances")
