@@ -14,6 +14,8 @@ struct look {
     td_stereo_view *view;
     td_depth_camera *depth;
     td_fusion *fusion;
+    td_pair pair;
+    td_rig_belief *belief;   /* NULL: the rig has no covariance */
     td_image *raw[2], *left; /* of the last pair */
 };
 
@@ -33,6 +35,7 @@ void look_free(look **l)
     td_stereo_view_free(&(*l)->view);
     td_depth_camera_free(&(*l)->depth);
     td_fusion_free(&(*l)->fusion);
+    td_rig_belief_free(&(*l)->belief);
     for (int side = 0; side < 2; side++) td_image_free(&(*l)->raw[side]);
     td_image_free(&(*l)->left);
     free(*l);
@@ -47,6 +50,8 @@ static td_status make(look *l, td_error *error)
         td_depth_camera_new(&l->depth, l->believed, o->camera[0], o->camera[1], o->near_m, o->far_m, error));
     td_depth_camera_range(&o->dense.lowest, &o->dense.levels, l->depth);
     TD_TRY(td_dense_options_check(&o->dense, error));
+    TD_TRY(td_pair_init(&l->pair, l->believed, o->camera[0], o->camera[1], error));
+    if (l->believed->covariance) TD_TRY(td_rig_belief_new(&l->belief, &l->pair, error));
     return td_fusion_new(&l->fusion, &o->fusion, error);
 }
 
@@ -153,34 +158,33 @@ td_status look_now(look_result *result, look *l, const td_pose *site_from_vehicl
 
 static const double BAND_PX = 8; /* wide enough for a rig that is not rightly believed */
 
-td_status look_epipolar(double *rms_px, double *sigma_px, const look *l, td_error *error)
+td_status look_check(look_rig *rig, look *l, td_error *error)
 {
     td_match_options o = td_match_options_default();
     td_match *match = NULL;
     td_match_tally tally;
     td_epipolar_gate gate = {0};
-    td_pair pair;
     size_t count = 0, known = 0;
+    double square = 0;
     o.near_m = l->options.near_m;
     o.far_m = l->options.far_m;
     o.band_px = BAND_PX;
     o.interest.count = 400;
     o.threads = l->options.dense.threads;
-    *rms_px = *sigma_px = NAN;
+    *rig = (look_rig){.rms_px = NAN, .sigma_px = NAN, .belief = {.sigmas = NAN, .limit = NAN}};
     if (!l->raw[0]) return td_fail(error, TD_ERROR_ARGUMENT, "no pair of images yet");
-    TD_TRY(td_pair_init(&pair, l->believed, l->options.camera[0], l->options.camera[1], error));
-    td_status status = td_match_automatic(&match, &count, &tally, &pair, l->raw[0], l->raw[1], &o, error);
-    if (status == TD_OK) status = td_epipolar_gate_check(&gate, &pair, match, count, error);
-    double square = 0;
+    td_status status = td_match_automatic(&match, &count, &tally, &l->pair, l->raw[0], l->raw[1], &o, error);
+    if (status == TD_OK) status = td_epipolar_gate_check(&gate, &l->pair, match, count, error);
     for (size_t i = 0; status == TD_OK && i < count; i++) {
-        const double sigma = td_pair_residual_sigma(&pair, match[i].left, match[i].right);
+        const double sigma = td_pair_residual_sigma(&l->pair, match[i].left, match[i].right);
         if (isfinite(sigma)) square += sigma * sigma, known++;
     }
+    rig->rms_px = gate.rms_px;
+    if (known) rig->sigma_px = sqrt(square / (double)known);
+    if (status == TD_OK && l->belief) status = td_rig_belief_add(l->belief, match, count, error);
+    if (status == TD_OK && l->belief) status = td_rig_belief_check(&rig->belief, l->belief, error);
     free(match);
-    TD_TRY(status);
-    *rms_px = gate.rms_px;
-    if (known) *sigma_px = sqrt(square / (double)known);
-    return TD_OK;
+    return status;
 }
 
 td_view_options *look_view(look *l)
@@ -191,6 +195,13 @@ td_view_options *look_view(look *l)
 td_status look_map(td_elevation **map, const look *l, td_error *error)
 {
     return td_fusion_map(map, NULL, l->fusion, error);
+}
+
+td_status look_anew(look *l, td_error *error)
+{
+    td_fusion_free(&l->fusion);
+    if (l->belief) td_rig_belief_clear(l->belief);
+    return td_fusion_new(&l->fusion, &l->options.fusion, error);
 }
 
 const td_image *look_left(const look *l)

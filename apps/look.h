@@ -6,6 +6,7 @@
 #include "apps/look_pair.h"
 #include "core/scene.h"
 #include "recon/fusion.h"
+#include "recon/rig_belief.h"
 #include "sim/stereo_view.h"
 
 typedef struct look_options {
@@ -36,12 +37,18 @@ void look_ground_changed(look *l, int column, int row, int columns, int rows);
  * site_from_vehicle (covariance (6,6) of site_from_rig, or NULL) with joints q. */
 td_status look_now(look_result *result, look *l, const td_pose *site_from_vehicle, const double *q,
                    const double *pose_covariance, uint64_t frame, double time_s, td_error *error);
-/* The map so far. */
+/* The map so far, or since look_anew. */
 td_status look_map(td_elevation **map, const look *l, td_error *error);
-/* How far robust matches of the last pair lie off their epipolar curves, px (recon/epipolar_gate.h), and what
- * the believed rig's covariance allows (standard deviation; NaN: it has none): a rig that is not believed
- * rightly shows it. Refused: no pair yet; too few matches. */
-td_status look_epipolar(double *rms_px, double *sigma_px, const look *l, td_error *error);
+/* From the next pair on the map holds what is seen since: ground that has gone stands in no map then, as it
+ * would where a wall hides what is there instead. */
+td_status look_anew(look *l, td_error *error);
+/* A rig that is not believed rightly shows itself. Refused: no pair yet; too few matches. */
+typedef struct look_rig {
+    double rms_px;   /* of robust matches of the last pair off their curves (recon/epipolar_gate.h) */
+    double sigma_px; /* what the believed rig's covariance allows; NaN: it has none */
+    td_rig_belief_result belief; /* of the pairs checked since look_anew, together (recon/rig_belief.h) */
+} look_rig;
+td_status look_check(look_rig *rig, look *l, td_error *error);
 /* How images are formed from the next pair on; lent, may be changed. */
 td_view_options *look_view(look *l);
 /* The last pair's rectified left image; lent until the next. NULL: none yet. */

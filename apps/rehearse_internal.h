@@ -12,14 +12,15 @@ enum { REHEARSE_MAX_ROUNDS = 8, REHEARSE_MAX_POSES = 8, REHEARSE_MAX_DRAWS = 16,
 
 /* What is true and not known. */
 typedef struct rehearse_truth {
-    double mass_sigma; /* relative, of each link's mass, inertia with it */
-    double soil_sigma; /* relative, of cohesion and adhesion; friction and density by a quarter of it */
-    double soil_times; /* by which cohesion and adhesion are larger besides */
-    double rig_sigma;  /* by which the rig's covariance is multiplied, of standard deviations */
+    double mass_sigma;     /* relative, of each link's mass, inertia with it */
+    double soil_sigma;     /* relative, of cohesion and adhesion; friction and density by a quarter of it */
+    double soil_times;     /* by which cohesion and adhesion are larger besides */
+    double rig_covariance; /* by which the rig's is multiplied: of what is believed and of what is true */
+    double rig_sigma;      /* by which the true one is besides, of standard deviations: a wrong rig */
     double joint_sigma_rad;
     int dark_look; /* from that look on, counted from 1, the cameras see nothing; 0: never */
     int stone_count;
-    td_world_stone stone[STATION_MAX_STONES]; /* that no map shows */
+    td_world_stone stone[STATION_MAX_STONES]; /* that no earlier map shows; the cameras see what stands out */
 } rehearse_truth;
 
 typedef struct rehearse_setup {
@@ -36,6 +37,7 @@ typedef struct rehearse_draw {
     td_robot *robot;
     station_ground ground;
     double zero[TD_ROBOT_MAX_JOINTS]; /* reading less truth */
+    td_random random;                 /* for what else is drawn */
 } rehearse_draw;
 
 /* Of predicted and actual, sample by sample along the same motion. Quantities: the joints (rad or m), the
@@ -53,8 +55,8 @@ typedef struct monitor {
     double (*of_motion)[MONITOR_MOST]; /* (motion_count) the same over each motion, at least its phase's */
     size_t *samples;                   /* (motion_count) while learning */
     size_t counts[MONITOR_CLASSES], tip_count;
-    double tip_square;
-    double sigma_tip_m; /* of the true tool's distance, above the ground */
+    double tip_square, up_square;
+    double sigma_tip_m, sigma_up_m; /* of the true tool's distance, above the ground; of its height */
     /* while watching: */
     int motion;
     double since_s;
@@ -72,9 +74,10 @@ void monitor_free(monitor *m);
 void monitor_watch(void *self, const task_sample *sample, bool *deviates, char *why, size_t size);
 /* In no cut, nor on the way in and out of the ground. */
 bool monitor_is_free(const task_sample *a);
-/* Actual less predicted (values, 2 joints + 3), false: nothing was predicted there. */
-bool monitor_compare(double *difference, double *tip_true, const task_run *predicted, const task_sample *a,
-                     int joints);
+/* Actual less predicted (values, 2 joints + 3), the same of the tool as it truly is, and its predicted place;
+ * false: nothing was predicted there. */
+bool monitor_compare(double *difference, double tip[3], double place[3], const task_run *predicted,
+                     const task_sample *a, int joints);
 
 typedef struct rehearse_round {
     task_run ahead, done;
@@ -84,7 +87,17 @@ typedef struct rehearse_round {
     double predicted_m3;           /* around the trench */
     double tip_square, tip_most_m; /* of true less predicted, above the ground */
     size_t tip_count;
+    double above_square, sigma_above_square; /* the same of its height above ground that nobody dug */
+    size_t above_count;
 } rehearse_round;
+
+/* What was executed, in order; without a run: what was told then. */
+enum { REHEARSE_MAX_PARTS = 2 * REHEARSE_MAX_ROUNDS * (REHEARSE_MAX_POSES + 2) };
+typedef struct rehearse_part {
+    char text[700];
+    task_run *run; /* of a round, or `own` */
+    task_run own;
+} rehearse_part;
 
 typedef struct rehearse {
     const rehearse_setup *setup;
@@ -100,6 +113,7 @@ typedef struct rehearse {
     int looks;
     double look_s;
     double epipolar_px, sigma_epipolar_px;
+    double rig_sigmas; /* by how many of its own sigma the images show the rig off; NaN: none */
     double matched_least;
     double scatter_m; /* of ground as it was predicted, against what was then seen of it */
     td_image *film[REHEARSE_MAX_FILM];
@@ -109,6 +123,9 @@ typedef struct rehearse {
     td_elevation *map, *map_before;
     td_elevation *true_before, *true_after;
     td_behaviour logic;
+    size_t part_count;
+    rehearse_part part[REHEARSE_MAX_PARTS];
+    int looked; /* rounds whose work has been looked at */
     int round_count;
     rehearse_round round[REHEARSE_MAX_ROUNDS + 1];
     td_dig_floor floor;
@@ -117,8 +134,14 @@ typedef struct rehearse {
     char why[600];
     double map_rms_m, map_share, clearance_m, probability, real_time;
     double dug_m3, predicted_m3, mass_error_kg;
+    int deadline_misses; /* periods of a task simulated ahead that took longer to compute */
+    bool stones_lie;     /* where they lay after the last task: */
+    double stone_at[STATION_MAX_STONES][3];
+    int unmeant; /* executed tasks with contact that was not meant */
     td_volume volume;
-    double sigma_volume_m3, filled_m2; /* of the volume; around the trench: not seen, taken as predicted */
+    double sigma_volume_m3;
+    double unseen_m2, seen_share; /* around the trench: not seen since it was dug, taken as predicted */
+    double dug_seen_m3, predicted_unseen_m3; /* in truth, where it is seen; as predicted, where it is not */
     gate_result gate;
 } rehearse;
 
@@ -133,6 +156,9 @@ void rehearse_free(rehearse *r);
 td_status rehearse_look_first(rehearse *r, td_error *error);
 /* Through the arm's poses, each a task of its own; with what has been dug. */
 td_status rehearse_look_again(rehearse *r, td_error *error);
+
+/* What the cameras see of stones: the scene's ground, raised over them where they lie. */
+void rehearse_show_stones(rehearse *r);
 
 /* rehearse_imagine.c */
 /* The machine on the map, standing as the true one is measured to stand. `draw`: as it may be; NULL: as it is
@@ -150,8 +176,27 @@ td_status rehearse_move(rehearse *r, const double *q, td_error *error);
 void rehearse_order(rehearse *r, td_event event, uint32_t task_id);
 void rehearse_stop(rehearse *r, const char *format, ...) TD_PRINTF(2, 3);
 
+/* rehearse_record.c */
+/* Keeps a session, or a line, for the recording. `run` (may be NULL) is taken over where `own`, else lent. */
+void rehearse_keep(rehearse *r, task_run *run, bool own, const char *format, ...) TD_PRINTF(4, 5);
+/* recording.mcap: all that was executed. */
+td_status rehearse_record(const rehearse *r, const char *folder, td_error *error);
+/* The seed and the rig's covariance of an earlier recording of the same rehearsal. */
+td_status rehearse_replay(rehearse *r, rehearse_setup *setup, const char *path, td_error *error);
+
+/* rehearse_contact.c */
+/* Counts what was executed with contact that was not meant. */
+td_status rehearse_touched(rehearse *r, const task_run *run, td_error *error);
+
 /* rehearse_compare.c */
 td_status rehearse_compare(rehearse *r, td_error *error);
+
+/* Of all that was executed, rms; NaN: nothing was. */
+typedef struct rehearse_tip {
+    double rms_m, most_m, sigma_m; /* true less predicted place, above the ground */
+    double above_m, sigma_above_m; /* and height above ground that nobody dug */
+} rehearse_tip;
+rehearse_tip rehearse_tips(const rehearse *r);
 
 extern const td_schema_row rehearse_schema[];
 extern const size_t rehearse_schema_count;

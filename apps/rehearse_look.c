@@ -40,22 +40,30 @@ static void judge(rehearse *r, const look_result *seen)
  */
 static td_status check_rig(rehearse *r, td_error *error)
 {
-    double rms = NAN, sigma = NAN;
+    look_rig rig;
     td_error why = {0};
-    const td_status status = look_epipolar(&rms, &sigma, r->look, &why);
+    const td_status status = look_check(&rig, r->look, &why);
     if (status == TD_ERROR_MEMORY) return td_fail(error, status, "%s", why.message);
     if (status != TD_OK) {
         rehearse_stop(r, "look %d: the rig cannot be checked: %s", r->looks, why.message);
         return TD_OK;
     }
-    const double allowed = EPIPOLAR_TIMES * hypot(EPIPOLAR_NOISE_PX, isfinite(sigma) ? sigma : 0);
-    if (!(rms <= r->epipolar_px)) r->epipolar_px = rms, r->sigma_epipolar_px = sigma;
-    if (rms > allowed)
+    const double allowed =
+        EPIPOLAR_TIMES * hypot(EPIPOLAR_NOISE_PX, isfinite(rig.sigma_px) ? rig.sigma_px : 0);
+    if (!(rig.rms_px <= r->epipolar_px)) r->epipolar_px = rig.rms_px, r->sigma_epipolar_px = rig.sigma_px;
+    if (!(rig.belief.sigmas <= r->rig_sigmas)) r->rig_sigmas = rig.belief.sigmas;
+    if (rig.rms_px > allowed)
         rehearse_stop(
             r,
             "look %d: matches lie %.2f px off their epipolar lines, where the rig's covariance allows "
             "%.2f px: the calibration is not that of this head; calibrate it again",
-            r->looks, rms, allowed);
+            r->looks, rig.rms_px, allowed);
+    if (rig.belief.sigmas > rig.belief.limit)
+        rehearse_stop(r,
+                      "look %d: the images show a rig that is %.1f times its own sigma off, in %d directions "
+                      "that %zu matches see, where %.1f is the most to be believed: the calibration is not "
+                      "that of this head; calibrate it again",
+                      r->looks, rig.belief.sigmas, rig.belief.freedom, rig.belief.inliers, rig.belief.limit);
     return TD_OK;
 }
 
@@ -124,6 +132,8 @@ td_status rehearse_look_first(rehearse *r, td_error *error)
 /* ---- again ---- */
 
 static const double LEAST_SCATTER_M = 0.03;
+static const double AROUND_M = 0.3; /* what moved soil may reach beyond where it was predicted */
+static const double OTHER = 3;      /* sigma: what is seen is not what was known */
 
 static int by_value(const void *a, const void *b)
 {
@@ -131,17 +141,45 @@ static int by_value(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
+/* Cells where soil was moved since the last look, and those around. */
+static td_status find_worked(bool **worked, const td_elevation *predicted, td_error *error)
+{
+    const int columns = predicted->columns, rows = predicted->rows;
+    const int reach = (int)ceil(AROUND_M / predicted->cell_m);
+    bool *found = *worked = calloc((size_t)columns * (size_t)rows, sizeof *found);
+    if (!found) return td_fail(error, TD_ERROR_MEMORY, "no memory for a map");
+    for (int row = 0; row < rows; row++)
+        for (int c = 0; c < columns; c++) {
+            if (predicted->provenance[(size_t)row * (size_t)columns + (size_t)c] != TD_CELL_SIMULATED)
+                continue;
+            for (int y = row - reach; y <= row + reach; y++)
+                for (int x = c - reach; x <= c + reach; x++)
+                    if (x >= 0 && y >= 0 && x < columns && y < rows)
+                        found[(size_t)y * (size_t)columns + (size_t)x] = true;
+        }
+    return TD_OK;
+}
+
+static void copy_cell(td_elevation *to, const td_elevation *from, size_t i)
+{
+    to->height[i] = from->height[i];
+    to->sigma[i] = from->sigma[i];
+    to->count[i] = from->count[i];
+    to->provenance[i] = from->provenance[i];
+    to->time_s[i] = from->time_s[i];
+}
+
 /* What the prediction is off where it moved soil and the ground is seen: two thirds are less, for at the
  * trench's walls a cell more or less is half a metre. */
-static td_status scatter(rehearse *r, const td_elevation *predicted, td_error *error)
+static td_status scatter(rehearse *r, const td_elevation *recent, const td_elevation *predicted,
+                         td_error *error)
 {
-    const td_elevation *m = r->map;
-    const size_t cells = (size_t)m->columns * (size_t)m->rows;
+    const size_t cells = (size_t)recent->columns * (size_t)recent->rows;
     double *off = malloc(cells * sizeof *off);
     size_t seen = 0;
     if (!off) return td_fail(error, TD_ERROR_MEMORY, "no memory for a map");
     for (size_t i = 0; i < cells; i++) {
-        const double d = (double)m->height[i] - (double)predicted->height[i];
+        const double d = (double)recent->height[i] - (double)predicted->height[i];
         if (predicted->provenance[i] == TD_CELL_SIMULATED && !isnan(d)) off[seen++] = fabs(d);
     }
     qsort(off, seen, sizeof *off, by_value);
@@ -150,17 +188,104 @@ static td_status scatter(rehearse *r, const td_elevation *predicted, td_error *e
     return TD_OK;
 }
 
-/* What the cameras cannot see, as the ground behind a wall of the trench, is taken as it was predicted, with
- * that as its sigma. */
-static void fill(rehearse *r, const td_elevation *predicted)
+/* Beside a cell that is not seen a step is seen in part only, its upper one: as if nothing had been. */
+static void leave_out_edges(td_elevation *recent, const bool *worked)
+{
+    static const float UNSEEN = -1;
+    const int columns = recent->columns, rows = recent->rows;
+    for (int row = 1; row < rows - 1; row++)
+        for (int c = 1; c < columns - 1; c++) {
+            const size_t i = (size_t)row * (size_t)columns + (size_t)c;
+            bool beside = false;
+            for (int k = 0; k < 9 && worked[i] && !isnan(recent->height[i]); k++) {
+                const size_t at = (size_t)(row + k / 3 - 1) * (size_t)columns + (size_t)(c + k % 3 - 1);
+                beside |= isnan(recent->height[at]);
+            }
+            if (beside) recent->sigma[i] = UNSEEN;
+        }
+    for (size_t i = 0; i < (size_t)columns * (size_t)rows; i++)
+        if (recent->sigma[i] == UNSEEN) {
+            recent->height[i] = recent->sigma[i] = NAN;
+            recent->count[i] = 0;
+            recent->provenance[i] = TD_CELL_UNKNOWN;
+        }
+}
+
+/* A cell on a step may be as high as the ground on either side, and no higher: its sigma, which stands for
+ * both, is no more than that of a height anywhere between them. */
+static void bound_steps(td_elevation *recent, const bool *worked)
+{
+    enum { REACH = 2, SIDE = 2 * REACH + 1 };
+    static const float LEAST_M = 0.05F;
+    const int columns = recent->columns, rows = recent->rows;
+    for (int row = REACH; row < rows - REACH; row++)
+        for (int c = REACH; c < columns - REACH; c++) {
+            const size_t i = (size_t)row * (size_t)columns + (size_t)c;
+            float low = recent->height[i], high = low;
+            if (!worked[i] || !(recent->sigma[i] > LEAST_M)) continue;
+            for (int k = 0; k < SIDE * SIDE; k++) {
+                const size_t at =
+                    (size_t)(row + k / SIDE - REACH) * (size_t)columns + (size_t)(c + k % SIDE - REACH);
+                low = fminf(low, recent->height[at]);
+                high = fmaxf(high, recent->height[at]);
+            }
+            recent->sigma[i] = fminf(recent->sigma[i], fmaxf(LEAST_M, (high - low) / sqrtf(12)));
+        }
+}
+
+/* The ground as it is known now: where soil was moved, as it was seen since, for what was seen before is no
+ * more; elsewhere as it was known, unless what is seen now is something else. What the cameras cannot see, as
+ * the ground behind a wall of the trench, is taken as it was predicted, with that as its sigma. */
+static void compose(rehearse *r, const td_elevation *recent, const td_elevation *predicted,
+                    const bool *worked)
 {
     td_elevation *m = r->map;
     const size_t cells = (size_t)m->columns * (size_t)m->rows;
     for (size_t i = 0; i < cells; i++) {
-        if (!isnan(m->height[i]) || isnan(predicted->height[i])) continue;
-        m->height[i] = predicted->height[i];
-        m->sigma[i] = (float)r->scatter_m;
-        m->provenance[i] = TD_CELL_SIMULATED;
+        const double off = (double)recent->height[i] - (double)m->height[i];
+        const double sigma = hypot((double)recent->sigma[i], (double)m->sigma[i]);
+        if (!isnan(recent->height[i]) && (worked[i] || !(fabs(off) <= OTHER * sigma))) {
+            copy_cell(m, recent, i);
+        } else if (worked[i] && !isnan(predicted->height[i])) {
+            const bool moved = predicted->provenance[i] == TD_CELL_SIMULATED;
+            copy_cell(m, predicted, i);
+            if (moved || isnan(m->sigma[i])) m->sigma[i] = (float)r->scatter_m;
+        }
+    }
+}
+
+static td_status take_map_again(rehearse *r, td_error *error)
+{
+    const td_elevation *predicted = r->round[r->round_count - 1].ahead.after;
+    td_elevation *recent = NULL;
+    bool *worked = NULL;
+    TD_TRY(look_map(&recent, r->look, error));
+    td_status status = find_worked(&worked, predicted, error);
+    if (status == TD_OK) leave_out_edges(recent, worked);
+    if (status == TD_OK) bound_steps(recent, worked);
+    if (status == TD_OK) status = scatter(r, recent, predicted, error);
+    if (status == TD_OK) compose(r, recent, predicted, worked);
+    r->looked = r->round_count;
+    free(worked);
+    td_elevation_free(&recent);
+    return status;
+}
+
+void rehearse_show_stones(rehearse *r)
+{
+    td_elevation *g = r->scene->scene.ground;
+    for (int i = 0; i < r->truth.ground.stone_count; i++) {
+        const td_world_stone *stone = r->truth.ground.stone + i;
+        const double radius = stone->shape.size[0];
+        td_pose at = stone->shape.link_from_shape;
+        if (r->station && !station_stone(&at, r->station, i)) continue;
+        for (int row = 0; row < g->rows; row++)
+            for (int c = 0; c < g->columns; c++) {
+                float *z = g->height + (size_t)row * (size_t)g->columns + (size_t)c;
+                const double off =
+                    hypot(g->origin[0] + c * g->cell_m - at.t[0], g->origin[1] + row * g->cell_m - at.t[1]);
+                if (off < radius) *z = fmaxf(*z, (float)(at.t[2] + sqrt(radius * radius - off * off)));
+            }
     }
 }
 
@@ -172,12 +297,14 @@ static td_status change_ground(rehearse *r, td_error *error)
     TD_TRY(station_map(&now, r->station, error));
     memcpy(ground->height, now->height,
            (size_t)ground->columns * (size_t)ground->rows * sizeof *ground->height);
+    rehearse_show_stones(r);
     look_ground_changed(r->look, 0, 0, ground->columns, ground->rows);
     return TD_OK;
 }
 
 td_status rehearse_look_again(rehearse *r, td_error *error)
 {
+    TD_TRY(look_anew(r->look, error));
     for (int i = 0; i < r->setup->pose_count && !r->stopped; i++) {
         TD_TRY(rehearse_move(r, r->setup->pose[i], error));
         if (r->stopped) return TD_OK;
@@ -185,10 +312,5 @@ td_status rehearse_look_again(rehearse *r, td_error *error)
         for (int k = 0; k < r->setup->frames && !r->stopped; k++)
             TD_TRY(one(r, &r->state.site_from_vehicle, r->state.q, k == 0, error));
     }
-    if (r->stopped) return TD_OK;
-    TD_TRY(take_map(r, error));
-    const td_elevation *predicted = r->round[r->round_count - 1].ahead.after;
-    TD_TRY(scatter(r, predicted, error));
-    fill(r, predicted);
-    return TD_OK;
+    return r->stopped ? TD_OK : take_map_again(r, error);
 }

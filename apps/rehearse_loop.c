@@ -18,6 +18,7 @@ void rehearse_free(rehearse *r)
         td_dig_plan_free(&r->round[i].plan);
         monitor_free(&r->round[i].monitor);
     }
+    for (size_t i = 0; i < r->part_count; i++) task_run_free(&r->part[i].own);
     for (int i = 0; i < r->film_count; i++) td_image_free(r->film + i);
     look_free(&r->look);
     station_free(&r->station);
@@ -48,6 +49,11 @@ static td_status read_world(rehearse *r, td_error *error)
                        r->scenario.path);
     TD_TRY(td_rig_read(&r->rig, r->setup->rig_path, error));
     TD_TRY(rehearse_draw_make(&r->truth, r, 0, error));
+    TD_TRY(td_elevation_copy(&r->true_before, r->scene->scene.ground, error));
+    rehearse_show_stones(r);
+    const size_t n = td_rig_parameter_count(r->rig);
+    for (size_t i = 0; r->rig->covariance && i < n * n; i++)
+        r->rig->covariance[i] *= r->setup->truth.rig_covariance;
     const td_status status = td_rig_draw(&r->rig_true, r->rig, r->setup->truth.rig_sigma, &random, error);
     return status == TD_OK ? status : td_error_prefix(error, TD_ERROR_DATA, "%s", r->setup->rig_path);
 }
@@ -58,12 +64,12 @@ static td_status arrive(rehearse *r, td_error *error)
     const scenario *s = &r->scenario;
     td_plant_state start = s->start;
     for (int k = 0; k < s->robot->joint_count; k++) start.q[k] -= r->truth.zero[k];
-    TD_TRY(station_new(&r->station, r->truth.robot, &s->options, &start, r->scene->scene.ground,
-                       &r->truth.ground, error));
+    TD_TRY(station_new(&r->station, r->truth.robot, &s->options, &start, r->true_before, &r->truth.ground,
+                       error));
     const td_plant plant = station_plant(r->station);
     TD_TRY(plant.state(plant.self, &r->state, error));
     for (int k = 0; k < s->robot->joint_count; k++) r->state.q[k] += r->truth.zero[k];
-    return td_elevation_copy(&r->true_before, r->scene->scene.ground, error);
+    return TD_OK;
 }
 
 /* ---- the rounds ---- */
@@ -89,6 +95,9 @@ static td_status go_round(bool *again, rehearse *r, td_error *error)
     TD_TRY(rehearse_ahead(r, round, error));
     if (!is_worth(r, round) || r->round_count > r->setup->rounds) return TD_OK;
     TD_TRY(rehearse_execute(r, round, error));
+    if (round->executed)
+        rehearse_keep(r, &round->done, false, "round %d: %d passes, %.3f m3 above the floor", r->round_count,
+                      round->plan->pass_count, round->plan->trench_m3);
     *again = !r->stopped;
     return *again ? rehearse_look_again(r, error) : TD_OK;
 }
@@ -102,13 +111,14 @@ td_status rehearse_run(rehearse *r, td_error *error)
     o.singularity = r->scenario.task->singularity;
     td_behaviour_begin(&r->logic, &o);
     r->clearance_m = r->real_time = r->matched_least = INFINITY;
-    r->epipolar_px = r->sigma_epipolar_px = NAN;
+    r->epipolar_px = r->sigma_epipolar_px = r->rig_sigmas = NAN;
     TD_TRY(read_world(r, error));
     TD_TRY(rehearse_look_first(r, error));
     if (r->stopped) return TD_OK;
     TD_TRY(td_elevation_copy(&r->map_before, r->map, error));
     TD_TRY(arrive(r, error));
     while (again && !r->stopped) TD_TRY(go_round(&again, r, error));
+    rehearse_keep(r, NULL, false, "%s%s", r->stopped ? "stopped: " : "at its end", r->stopped ? r->why : "");
     TD_TRY(station_map(&now, r->station, error));
     TD_TRY(td_elevation_copy(&r->true_after, now, error));
     r->mass_error_kg = station_mass_error(r->station);

@@ -4,7 +4,8 @@
  * compared where it is. Each motion is planned anew from where the machine is measured to stand: deviations
  * do not add up. Sigma is that of the same task done by machines on soils drawn as they may be, taken
  * together over each phase of a pass, or over the motion itself where it is more. What counts is the mean
- * over the last two seconds, in sigma: the machine rocks on its tracks, in a phase that nobody predicts. */
+ * over the last two seconds, in sigma: the machine rocks on its tracks, in a phase that nobody predicts; and
+ * over half a second, where twice as much is allowed. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -35,12 +36,11 @@ static void values_of(double *value, const task_sample *a, int joints)
     for (int i = 0; i < 3; i++) value[2 * joints + i] = a->tool.t[i];
 }
 
-bool monitor_compare(double *difference, double *tip_true, const task_run *predicted, const task_sample *a,
-                     int joints)
+bool monitor_compare(double *difference, double tip[3], double place[3], const task_run *predicted,
+                     const task_sample *a, int joints)
 {
     const task_sample *low = NULL, *high = NULL;
     double before[MONITOR_MOST], after[MONITOR_MOST];
-    double off[3];
     if (a->motion < 0) return false;
     for (size_t i = 0; i < predicted->count; i++) {
         const task_sample *p = predicted->sample + i;
@@ -58,9 +58,10 @@ bool monitor_compare(double *difference, double *tip_true, const task_run *predi
     values_of(before, low, joints);
     values_of(after, high, joints);
     for (int k = 0; k < 2 * joints + 3; k++) difference[k] -= before[k] + t * (after[k] - before[k]);
-    for (int i = 0; i < 3; i++)
-        off[i] = a->tool_true.t[i] - (low->tool.t[i] + t * (high->tool.t[i] - low->tool.t[i]));
-    *tip_true = hypot(hypot(off[0], off[1]), off[2]);
+    for (int i = 0; i < 3; i++) {
+        place[i] = low->tool.t[i] + t * (high->tool.t[i] - low->tool.t[i]);
+        tip[i] = a->tool_true.t[i] - place[i];
+    }
     return true;
 }
 
@@ -86,10 +87,10 @@ void monitor_free(monitor *m)
 
 void monitor_learn(monitor *m, const task_run *drawn)
 {
-    double d[MONITOR_MOST], tip;
+    double d[MONITOR_MOST], tip[3], place[3];
     for (size_t i = 0; i < drawn->count; i++) {
         const task_sample *a = drawn->sample + i;
-        if (!monitor_compare(d, &tip, m->predicted, a, m->joints)) continue;
+        if (!monitor_compare(d, tip, place, m->predicted, a, m->joints)) continue;
         const int c = class_of(a);
         for (int k = 0; k < 2 * m->joints + 3; k++) {
             m->sigma[c][k] += d[k] * d[k];
@@ -98,7 +99,8 @@ void monitor_learn(monitor *m, const task_run *drawn)
         m->counts[c]++;
         m->samples[a->motion]++;
         if (!monitor_is_free(a)) continue;
-        m->tip_square += tip * tip;
+        m->tip_square += tip[0] * tip[0] + tip[1] * tip[1] + tip[2] * tip[2];
+        m->up_square += tip[2] * tip[2];
         m->tip_count++;
     }
 }
@@ -116,6 +118,7 @@ void monitor_learnt(monitor *m)
         for (int k = 0; k < most; k++)
             m->of_motion[i][k] = m->samples[i] ? sqrt(m->of_motion[i][k] / (double)m->samples[i]) : 0;
     m->sigma_tip_m = m->tip_count ? sqrt(m->tip_square / (double)m->tip_count) : NAN;
+    m->sigma_up_m = m->tip_count ? sqrt(m->up_square / (double)m->tip_count) : NAN;
 }
 
 /* ---- while it is executed ---- */
@@ -157,19 +160,43 @@ static bool is_late(monitor *m, const task_sample *a, char *why, size_t size)
     return true;
 }
 
+/* Of the last `samples` deviations of a quantity, their mean, in sigma. */
+static double mean_off(const monitor *m, int k, int samples)
+{
+    double sum = 0;
+    for (int i = 1; i <= samples; i++) sum += m->off[(m->next + MONITOR_WINDOW - i) % MONITOR_WINDOW][k];
+    return fabs(sum) / samples;
+}
+
+/* By how much it may be off for two seconds, and for half a second: what the machine runs against is not to
+ * be pushed for longer. */
+static bool is_off(monitor *m, double *ratio, double *allowed, int k)
+{
+    enum { SOON = MONITOR_WINDOW / 4 };
+    static const double AT_ONCE = 2; /* times the alarm */
+    *ratio = m->filled < SOON ? 0 : mean_off(m, k, SOON);
+    *allowed = AT_ONCE * m->alarm;
+    if (*ratio > *allowed) return true;
+    if (m->filled < MONITOR_WINDOW) return false;
+    *ratio = mean_off(m, k, MONITOR_WINDOW);
+    *allowed = m->alarm;
+    m->ratio[k] = fmax(m->ratio[k], *ratio);
+    return *ratio > *allowed;
+}
+
 void monitor_watch(void *self, const task_sample *a, bool *deviates, char *why, size_t size)
 {
     rehearse *r = self;
     monitor *m = &r->round[r->round_count - 1].monitor;
     const int most = 2 * m->joints + 3;
-    double d[MONITOR_MOST], tip;
+    double d[MONITOR_MOST], tip[3], place[3];
     *deviates = false;
     if (a->motion != m->motion) {
         m->motion = a->motion;
         m->since_s = a->time_s;
         m->filled = m->next = 0;
     }
-    if (!monitor_compare(d, &tip, m->predicted, a, m->joints)) return;
+    if (!monitor_compare(d, tip, place, m->predicted, a, m->joints)) return;
     double sigma[MONITOR_MOST];
     for (int k = 0; k < most; k++) {
         sigma[k] = fmax(m->sigma[class_of(a)][k], m->of_motion[a->motion][k]);
@@ -177,20 +204,19 @@ void monitor_watch(void *self, const task_sample *a, bool *deviates, char *why, 
     }
     m->next = (m->next + 1) % MONITOR_WINDOW;
     m->filled += m->filled < MONITOR_WINDOW;
-    if ((*deviates = is_late(m, a, why, size)) || m->filled < MONITOR_WINDOW) return;
+    if ((*deviates = is_late(m, a, why, size))) return;
     for (int k = 0; k < most; k++) {
-        double sum = 0, scale;
-        for (int i = 0; i < MONITOR_WINDOW; i++) sum += m->off[i][k];
-        const double ratio = fabs(sum) / MONITOR_WINDOW;
-        m->ratio[k] = fmax(m->ratio[k], ratio);
-        if (ratio <= m->alarm || *deviates) continue;
+        double ratio, allowed, scale;
+        if (!is_off(m, &ratio, &allowed, k) || *deviates) continue;
         char name[100];
         name_of(name, sizeof name, m, r->scenario.robot, k);
         const char *unit = unit_of(m, k, &scale);
-        snprintf(why, size,
-                 "%s is %.3g %s off what was predicted, and has been for two seconds %.1f times its sigma of "
-                 "%.3g %s (%g are allowed)",
-                 name, scale * d[k], unit, ratio, scale * sigma[k], unit, m->alarm);
+        snprintf(
+            why, size,
+            "%s is %.3g %s off what was predicted, and has been for %s %.1f times its sigma of %.3g %s (%g "
+            "are allowed)",
+            name, scale * d[k], unit, allowed > m->alarm ? "half a second" : "two seconds", ratio,
+            scale * sigma[k], unit, allowed);
         *deviates = true;
     }
 }

@@ -44,25 +44,35 @@ const td_schema_row rehearse_schema[] = {
      "true less predicted place of the tool, rms over the motions above the ground"},
     {"tip_error_max_m", TD_SCHEMA_REAL, true, true, "the largest"},
     {"sigma_tip_m", TD_SCHEMA_REAL, true, true, "of the same, by machines and soils drawn as they may be"},
+    {"tip_above_error_m", TD_SCHEMA_REAL, true, true,
+     "of the tool's height above ground that nobody dug, the same: over the map as it was seen"},
+    {"sigma_tip_above_m", TD_SCHEMA_REAL, true, true, "of the same, with the map's sigma"},
     {"planned_volume_m3", TD_SCHEMA_REAL, true, false, "of the trench, in the ground"},
     {"left_volume_m3", TD_SCHEMA_REAL, true, false,
      "of it above the floor in the last map that was planned on"},
     {"predicted_volume_m3", TD_SCHEMA_REAL, true, false, "cut around the trench, as simulated ahead"},
     {"dug_volume_m3", TD_SCHEMA_REAL, true, false, "cut there in truth"},
-    {"measured_volume_m3", TD_SCHEMA_REAL, true, true, "cut there between the first map and the last"},
+    {"dug_seen_m3", TD_SCHEMA_REAL, true, true, "of it, where the last map has seen the ground since"},
+    {"measured_volume_m3", TD_SCHEMA_REAL, true, true,
+     "cut there between the first map and the last, where it is seen"},
     {"sigma_volume_m3", TD_SCHEMA_REAL, true, true, "of the measured volume"},
-    {"unseen_m2", TD_SCHEMA_REAL, true, false,
-     "around the trench, not seen since it was dug: taken as predicted"},
+    {"seen_share", TD_SCHEMA_REAL, true, true, "of the area around the trench, seen since it was dug"},
+    {"unseen_m2", TD_SCHEMA_REAL, true, true, "the rest of it: taken as predicted"},
+    {"predicted_unseen_m3", TD_SCHEMA_REAL, true, true, "cut there, as simulated ahead"},
     {"prediction_scatter_m", TD_SCHEMA_REAL, true, false,
      "ground as predicted less as then seen, where soil was moved: 68 % are less"},
     {"mass_error_kg", TD_SCHEMA_REAL, true, false, "all soil at the end less all soil at first: 0"},
     {"clearance_min_m", TD_SCHEMA_REAL, true, true,
      "least of the motions checked, contact that is meant apart"},
     {"collision_probability_max", TD_SCHEMA_REAL, true, false, "of contact that is not meant, of one motion"},
+    {"unmeant_contacts", TD_SCHEMA_INT, true, false,
+     "executed tasks in which the true machine touched the true ground where that was not meant: 0"},
+    {"rig_sigmas", TD_SCHEMA_REAL, true, true,
+     "by how many of its own sigma the images show the rig to be off: about 1; null: not checked"},
     {"loop_hz", TD_SCHEMA_REAL, true, true, "looks a second of computing: matching and fusing"},
     {"real_time_factor", TD_SCHEMA_REAL, true, true, "simulated ahead over computing time, the least"},
     {"deadline_misses", TD_SCHEMA_INT, true, false,
-     "of the control period, of tasks simulated faster than it"},
+     "control periods of the tasks simulated ahead that took longer to compute than they last"},
     {"replans", TD_SCHEMA_INT, true, false, "rounds executed after the first"},
     {"rounds", TD_SCHEMA_ARRAY, true, false, "one after the other"},
     {"rounds[].executed", TD_SCHEMA_BOOL, true, false, "or only planned"},
@@ -101,28 +111,38 @@ static int executed(const rehearse *r)
     return count;
 }
 
-static void tips(double *rms, double *most, double *sigma, const rehearse *r)
+rehearse_tip rehearse_tips(const rehearse *r)
 {
-    double square = 0, sigma_square = 0;
-    size_t count = 0;
-    *most = 0;
+    rehearse_tip t = {0};
+    double sigma_square = 0, above = 0, sigma_above = 0;
+    size_t count = 0, above_count = 0;
     for (int i = 0; i < r->round_count; i++) {
-        const rehearse_round *round = r->round + i;
-        if (!round->tip_count) continue;
-        square += round->tip_square;
-        sigma_square += (double)round->tip_count * round->monitor.sigma_tip_m * round->monitor.sigma_tip_m;
-        count += round->tip_count;
-        *most = fmax(*most, round->tip_most_m);
+        const rehearse_round *o = r->round + i;
+        if (!o->tip_count) continue;
+        t.rms_m += o->tip_square;
+        sigma_square += (double)o->tip_count * o->monitor.sigma_tip_m * o->monitor.sigma_tip_m;
+        count += o->tip_count;
+        t.most_m = fmax(t.most_m, o->tip_most_m);
+        above += o->above_square;
+        sigma_above += o->sigma_above_square;
+        above_count += o->above_count;
     }
-    *rms = count ? sqrt(square / (double)count) : NAN;
-    *sigma = count ? sqrt(sigma_square / (double)count) : NAN;
+    t.rms_m = count ? sqrt(t.rms_m / (double)count) : NAN;
+    t.sigma_m = count ? sqrt(sigma_square / (double)count) : NAN;
+    t.above_m = above_count ? sqrt(above / (double)above_count) : NAN;
+    t.sigma_above_m = above_count ? sqrt(sigma_above / (double)above_count) : NAN;
+    if (!count) t.most_m = NAN;
+    return t;
 }
 
 void rehearse_judge(rehearse *r, const gate_row *rows)
 {
     gate_result *g = &r->gate;
-    double rms, most, sigma, deviation = 0;
-    tips(&rms, &most, &sigma, r);
+    const rehearse_tip tip = rehearse_tips(r);
+    double deviation = 0;
+    if (r->unmeant)
+        gate_add(g, VERDICT_REFUSED, "the machine touched the ground in %d motions that were not to",
+                 r->unmeant);
     if (r->stopped) gate_add(g, VERDICT_REFUSED, "%s", r->why);
     if (!executed(r) || r->stopped) return;
     for (int i = 0; i < r->round_count; i++)
@@ -134,12 +154,12 @@ void rehearse_judge(rehearse *r, const gate_row *rows)
         "%.0f %% of the map's cells are further off the truth than their sigma: the rig is not as well "
         "known as its covariance says",
         100 * (1 - r->map_share));
-    const double off = fabs(r->volume.cut_m3 - r->dug_m3);
+    const double off = fabs(r->volume.cut_m3 - r->dug_seen_m3);
     gate_check(g, rows, rehearse_gate_count, "volume_sigma", off / r->sigma_volume_m3,
                "the measured volume is %.3f m3 off the true one, its sigma is %.3f m3", off,
                r->sigma_volume_m3);
-    gate_check(g, rows, rehearse_gate_count, "tip_sigma", rms / sigma,
-               "the tool is %.3f m off its prediction, its sigma is %.3f m", rms, sigma);
+    gate_check(g, rows, rehearse_gate_count, "tip_sigma", tip.rms_m / tip.sigma_m,
+               "the tool is %.3f m off its prediction, its sigma is %.3f m", tip.rms_m, tip.sigma_m);
     gate_check(g, rows, rehearse_gate_count, "monitor_sigma", deviation,
                "actual and predicted motion differ by up to %.1f sigma", deviation);
 }
@@ -179,6 +199,7 @@ static json_t *products_json(const rehearse *r)
     if (r->map_before) set(o, "before", json_string("before.tif"));
     if (r->map_before && r->map) set(o, "after", json_string("after.tif"));
     if (r->true_after) set(o, "truth", json_string("truth.tif"));
+    if (r->part_count) set(o, "recording", json_string("recording.mcap"));
     for (int i = 0; i < r->round_count; i++) {
         char key[40], path[60];
         snprintf(key, sizeof key, "ahead_%d", i + 1);
@@ -193,25 +214,31 @@ static json_t *products_json(const rehearse *r)
 
 static void set_motion(json_t *root, const rehearse *r)
 {
-    double rms, most, sigma;
-    tips(&rms, &most, &sigma, r);
-    set(root, "tip_error_m", td_json_real(rms));
-    set(root, "tip_error_max_m", td_json_real(executed(r) ? most : NAN));
-    set(root, "sigma_tip_m", td_json_real(sigma));
+    const rehearse_tip tip = rehearse_tips(r);
+    set(root, "tip_error_m", td_json_real(tip.rms_m));
+    set(root, "tip_error_max_m", td_json_real(tip.most_m));
+    set(root, "sigma_tip_m", td_json_real(tip.sigma_m));
+    set(root, "tip_above_error_m", td_json_real(tip.above_m));
+    set(root, "sigma_tip_above_m", td_json_real(tip.sigma_above_m));
     set(root, "planned_volume_m3", td_json_real(r->planned_m3));
     set(root, "left_volume_m3", td_json_real(r->left_m3));
     set(root, "predicted_volume_m3", td_json_real(r->predicted_m3));
     set(root, "dug_volume_m3", td_json_real(r->dug_m3));
     set(root, "measured_volume_m3", td_json_real(r->planned_m3 > 0 ? r->volume.cut_m3 : NAN));
     set(root, "sigma_volume_m3", td_json_real(r->planned_m3 > 0 ? r->sigma_volume_m3 : NAN));
-    set(root, "unseen_m2", td_json_real(r->filled_m2));
+    set(root, "dug_seen_m3", td_json_real(r->dug_seen_m3));
+    set(root, "seen_share", td_json_real(r->seen_share));
+    set(root, "unseen_m2", td_json_real(r->unseen_m2));
+    set(root, "predicted_unseen_m3", td_json_real(r->predicted_unseen_m3));
     set(root, "prediction_scatter_m", td_json_real(r->scatter_m));
     set(root, "mass_error_kg", td_json_real(r->mass_error_kg));
     set(root, "clearance_min_m", td_json_real(r->clearance_m));
     set(root, "collision_probability_max", td_json_real(r->probability));
+    set(root, "unmeant_contacts", json_integer(r->unmeant));
+    set(root, "rig_sigmas", td_json_real(r->rig_sigmas));
     set(root, "loop_hz", td_json_real(r->look_s > 0 ? r->looks / r->look_s : NAN));
     set(root, "real_time_factor", td_json_real(r->real_time));
-    set(root, "deadline_misses", json_integer(0));
+    set(root, "deadline_misses", json_integer(r->deadline_misses));
     set(root, "replans", json_integer(executed(r) > 1 ? executed(r) - 1 : 0));
 }
 
@@ -244,11 +271,27 @@ json_t *rehearse_result(const rehearse *r)
 
 /* ---- on the terminal ---- */
 
+static void motion_table(const rehearse *r)
+{
+    const rehearse_tip tip = rehearse_tips(r);
+    printf("trench of %.3f m3: %.3f predicted, %.3f dug; %.3f left\n", r->planned_m3, r->predicted_m3,
+           r->dug_m3, r->left_m3);
+    if (isfinite(r->seen_share))
+        printf(
+            "where it is seen (%.0f %%): %.3f +- %.3f m3 measured, %.3f dug; unseen: %.3f m3 predicted, %.3f "
+            "dug\n",
+            100 * r->seen_share, r->volume.cut_m3, r->sigma_volume_m3, r->dug_seen_m3, r->predicted_unseen_m3,
+            r->dug_m3 - r->dug_seen_m3);
+    printf("tool %.3f m off its prediction (%.3f at most), sigma %.3f m; its height above the ground %.3f m "
+           "off, "
+           "sigma %.3f m; clearance %.2f m, contact %.2g; mass off by %g kg\n",
+           tip.rms_m, tip.most_m, tip.sigma_m, tip.above_m, tip.sigma_above_m, r->clearance_m, r->probability,
+           r->mass_error_kg);
+}
+
 void rehearse_table(const void *done)
 {
     const rehearse *r = done;
-    double rms, most, sigma;
-    tips(&rms, &most, &sigma, r);
     printf("%-6s %7s %10s %9s %9s %8s %8s %8s\n", "round", "passes", "above m3", "ahead s", "done s",
            "joint/s", "force/s", "tool/s");
     for (int i = 0; i < r->round_count; i++) {
@@ -263,12 +306,7 @@ void rehearse_table(const void *done)
         "map off by %.3f m rms, %.0f %% within sigma\n",
         r->looks, r->epipolar_px, r->sigma_epipolar_px, 100 * r->matched_least, r->map_rms_m,
         100 * r->map_share);
-    printf("trench of %.3f m3: %.3f predicted, %.3f dug, %.3f +- %.3f measured; %.3f left\n", r->planned_m3,
-           r->predicted_m3, r->dug_m3, r->volume.cut_m3, r->sigma_volume_m3, r->left_m3);
-    printf(
-        "tool %.3f m off its prediction (%.3f at most), sigma %.3f m; clearance %.2f m, contact %.2g; mass "
-        "off by %g kg\n",
-        rms, most, sigma, r->clearance_m, r->probability, r->mass_error_kg);
+    if (executed(r)) motion_table(r);
     printf("\nverdict: %s\n", verdict_name(r->gate.verdict));
     for (size_t i = 0; i < r->gate.count; i++) printf("  - %s\n", r->gate.reason[i]);
 }
@@ -308,6 +346,7 @@ td_status rehearse_write(const rehearse *r, const char *folder, td_error *error)
     TD_TRY(write_map(r->map_before, folder, "before.tif", error));
     if (r->map_before) TD_TRY(write_map(r->map, folder, "after.tif", error));
     TD_TRY(write_map(r->true_after, folder, "truth.tif", error));
+    if (r->part_count) TD_TRY(rehearse_record(r, folder, error));
     for (int i = 0; i < r->round_count; i++) {
         TD_TRY(write_run(&r->round[i].ahead, r, folder, i, "ahead", error));
         if (r->round[i].executed) TD_TRY(write_run(&r->round[i].done, r, folder, i, "done", error));

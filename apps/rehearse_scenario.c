@@ -11,10 +11,13 @@
  *     mass_sigma: 0.05            (relative, of each link)
  *     soil_sigma: 0.2             (relative, of cohesion; of friction and density a quarter)
  *     soil_times: 1               (cohesion so many times what is believed)
- *     rig_sigma: 1                (so many times the rig's covariance, as standard deviations)
+ *     rig_covariance: 1           (the rig's covariance times that: as it is believed, and as the truth is
+ *                                 drawn from; 0: known exactly)
+ *     rig_sigma: 1                (the truth so many sigma off, whatever is believed: a wrong rig)
  *     joint_sigma_deg: 0.05       (of the joints' zeros)
  *     dark_look: 0                (from that look on, counted from 1, the cameras are dark; 0: never)
- *     stones: [{at_m: …}]         (in nobody's map; as a scenario's ground has them)
+ *     stones: [{at_m: …}]         (as a scenario's ground has them; in no map but what the cameras see
+ *                                 of them where they stand out of the ground)
  *   look:
  *     before: 1..5                (frames of the scene: where the machine looked from as it came)
  *     frames: 3                   (pairs in each pose, after digging)
@@ -56,18 +59,20 @@ static td_status read_stone(td_world_stone *stone, const td_field *field, td_err
                               .friction = 0.6};
     TD_TRY(td_field_reals(stone->shape.link_from_shape.t, 3, &at, -1e5, 1e5, error));
     TD_TRY(td_field_real(stone->shape.size, &radius, 0.01, 5, error));
-    TD_TRY(real(&stone->density, field, "density_kg_m3", 100, 1e4, error));
+    TD_TRY(real(&stone->density, field, "density_kg_m3", 0, 1e4, error));
     return real(&stone->friction, field, "friction", 0, 10, error);
 }
 
 static td_status read_truth(rehearse_truth *t, const td_field *root, td_error *error)
 {
-    static const char *const keys[] = {"mass_sigma",      "soil_sigma", "soil_times", "rig_sigma",
-                                       "joint_sigma_deg", "dark_look",  "stones",     NULL};
+    static const char *const keys[] = {"mass_sigma", "soil_sigma",     "soil_times",
+                                       "rig_sigma",  "rig_covariance", "joint_sigma_deg",
+                                       "dark_look",  "stones",         NULL};
     const td_field field = td_field_get(root, "truth"), stones = td_field_get(&field, "stones");
     double degrees = 0.05;
     size_t count = 0;
-    *t = (rehearse_truth){.mass_sigma = 0.05, .soil_sigma = 0.2, .soil_times = 1, .rig_sigma = 1};
+    *t = (rehearse_truth){
+        .mass_sigma = 0.05, .soil_sigma = 0.2, .soil_times = 1, .rig_sigma = 1, .rig_covariance = 1};
     t->joint_sigma_rad = RADIANS * degrees;
     if (!field.value) return TD_OK;
     TD_TRY(td_field_check_keys(&field, keys, error));
@@ -75,6 +80,7 @@ static td_status read_truth(rehearse_truth *t, const td_field *root, td_error *e
     TD_TRY(real(&t->soil_sigma, &field, "soil_sigma", 0, 0.5, error));
     TD_TRY(real(&t->soil_times, &field, "soil_times", 0.01, 100, error));
     TD_TRY(real(&t->rig_sigma, &field, "rig_sigma", 0, 100, error));
+    TD_TRY(real(&t->rig_covariance, &field, "rig_covariance", 0, 1e4, error));
     TD_TRY(real(&degrees, &field, "joint_sigma_deg", 0, 5, error));
     TD_TRY(integer(&t->dark_look, &field, "dark_look", 0, 10000, error));
     t->joint_sigma_rad = RADIANS * degrees;

@@ -78,6 +78,7 @@ static td_status simulate(task_run *run, rehearse *r, const scenario *s, const t
     const td_status status = task_run_in(run, s, w, r->progress, error);
     station_free(&w->station);
     TD_TRY(status);
+    r->deadline_misses += run->late;
     if (run->time_s > 0 && run->cpu_s > 0) r->real_time = fmin(r->real_time, run->time_s / run->cpu_s);
     r->clearance_m = fmin(r->clearance_m, run->dug.clearance_m);
     r->probability = fmax(r->probability, run->dug.probability);
@@ -97,31 +98,44 @@ static td_status draw_map(td_elevation **drawn, const rehearse *r, uint64_t stre
     return TD_OK;
 }
 
-/* The same task by machines on soils as they may be: how far what happens may lie off what is predicted. */
+static td_status draw_one(bool *done, rehearse *r, rehearse_round *round, uint64_t stream, td_error *error)
+{
+    rehearse_draw draw = {0};
+    task_run run = {0};
+    td_elevation *map = NULL;
+    td_behaviour logic;
+    td_behaviour_begin(&logic, NULL);
+    task_world w = {.zero = draw.zero, .task_id = 1, .logic = &logic, .plan = round->plan};
+    td_status status = rehearse_draw_make(&draw, r, stream, error);
+    if (status == TD_OK) status = draw_map(&map, r, stream, error);
+    if (status == TD_OK) status = rehearse_imagine(&w.station, r, &draw, map, error);
+    if (status == TD_OK) status = task_run_in(&run, &r->scenario, &w, r->progress, error);
+    if ((*done = status == TD_OK)) monitor_learn(&round->monitor, &run);
+    station_free(&w.station);
+    td_elevation_free(&map);
+    task_run_free(&run);
+    rehearse_draw_free(&draw);
+    return status;
+}
+
+/* The same task by machines on soils as they may be: how far what happens may lie off what is predicted. A
+ * machine that cannot be drawn, or that does not come to rest, tells nothing. */
 static td_status learn(rehearse *r, rehearse_round *round, td_error *error)
 {
-    td_status status =
-        monitor_begin(&round->monitor, &round->ahead, r->scenario.robot->joint_count, ALARM, error);
-    for (int i = 0; i < r->setup->draws && status == TD_OK; i++) {
+    td_error why = {0};
+    int learnt = 0;
+    TD_TRY(monitor_begin(&round->monitor, &round->ahead, r->scenario.robot->joint_count, ALARM, error));
+    for (int i = 0; i < r->setup->draws; i++) {
         const uint64_t stream = 1 + (uint64_t)((r->round_count - 1) * REHEARSE_MAX_DRAWS + i);
-        rehearse_draw draw = {0};
-        task_run run = {0};
-        td_elevation *map = NULL;
-        td_behaviour logic;
-        td_behaviour_begin(&logic, NULL);
-        task_world w = {.zero = draw.zero, .task_id = 1, .logic = &logic, .plan = round->plan};
-        status = rehearse_draw_make(&draw, r, stream, error);
-        if (status == TD_OK) status = draw_map(&map, r, stream, error);
-        if (status == TD_OK) status = rehearse_imagine(&w.station, r, &draw, map, error);
-        if (status == TD_OK) status = task_run_in(&run, &r->scenario, &w, r->progress, error);
-        if (status == TD_OK) monitor_learn(&round->monitor, &run);
-        station_free(&w.station);
-        td_elevation_free(&map);
-        task_run_free(&run);
-        rehearse_draw_free(&draw);
+        bool done = false;
+        const td_status status = draw_one(&done, r, round, stream, &why);
+        if (status == TD_ERROR_MEMORY || status == TD_ERROR_CANCELLED)
+            return td_fail(error, status, "%s", why.message);
+        learnt += done;
     }
-    if (status == TD_OK) monitor_learnt(&round->monitor);
-    return status;
+    if (!learnt) rehearse_stop(r, "how far the motion may lie off is not known: %s", why.message);
+    monitor_learnt(&round->monitor);
+    return TD_OK;
 }
 
 td_status rehearse_ahead(rehearse *r, rehearse_round *round, td_error *error)
@@ -171,6 +185,7 @@ static td_status execute(task_run *run, rehearse *r, const scenario *s, const td
     w->zero = r->truth.zero;
     w->logic = &r->logic;
     TD_TRY(task_run_in(run, s, w, r->progress, error));
+    TD_TRY(rehearse_touched(r, run, error));
     r->clearance_m = fmin(r->clearance_m, run->dug.clearance_m);
     r->probability = fmax(r->probability, run->dug.probability);
     if (r->logic.phase != TD_PHASE_MONITORING)
@@ -182,6 +197,7 @@ td_status rehearse_execute(rehearse *r, rehearse_round *round, td_error *error)
 {
     task_world w = {.plan = round->plan, .watch = monitor_watch, .user = r};
     TD_TRY(learn(r, round, error));
+    if (r->stopped) return TD_OK;
     r->scenario.map = r->map;
     const td_status status = execute(&round->done, r, &r->scenario, r->map, &round->ahead, &w, error);
     r->scenario.map = NULL;
@@ -211,6 +227,7 @@ static td_status move(rehearse *r, const scenario *s, const td_elevation *map, t
     task_world first = {0}, then = {0};
     td_status status = simulate(&ahead, r, s, map, &first, error);
     if (status == TD_OK && !r->stopped) status = execute(&done, r, s, map, &ahead, &then, error);
+    if (status == TD_OK && done.count) rehearse_keep(r, &done, true, "the arm moved for a look");
     task_run_free(&ahead);
     task_run_free(&done);
     return status;

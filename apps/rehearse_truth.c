@@ -38,6 +38,7 @@ td_status rehearse_draw_make(rehearse_draw *d, const rehearse *r, uint64_t strea
     for (int k = 0; k < d->robot->joint_count; k++)
         d->zero[k] = t->joint_sigma_rad * td_random_normal(&random);
     TD_TRY(draw_soil(&d->ground.soil, t, stream == 0, &random, error));
+    d->random = random;
     d->ground.stone_count = 0;
     if (stream) return TD_OK;
     d->ground.stone_count = t->stone_count;

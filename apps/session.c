@@ -396,9 +396,11 @@ static td_status all_the_way(session *x, const td_progress *progress, td_error *
 {
     const size_t total = (size_t)(x->s->duration_s / x->s->period_s);
     for (;;) {
+        const double begun = cpu_now();
         TD_TRY(one_period(x, error));
         if (is_over(x)) return TD_OK;
         TD_TRY(advance(x, error));
+        x->run->late += cpu_now() - begun > x->s->period_s;
         if (x->broken) return TD_OK;
         TD_TRY(wait_for_clock(x, error));
         const size_t done = (size_t)x->simulated < total ? (size_t)x->simulated : total;

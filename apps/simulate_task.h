@@ -105,6 +105,7 @@ typedef struct task_run {
     task_inputs input;   /* as handed in */
     td_integrator_counters counters;
     double time_s, cpu_s;
+    int late;         /* periods that took longer to compute than they last */
     double planned_s; /* of the motions planned */
     td_phase phase;   /* at the end */
     td_fault fault;
@@ -181,6 +182,21 @@ void task_report_ground(struct td_report *r, const task_job *j);
 td_status task_identity(char hex[TD_HASH_HEX_SIZE], const scenario *s, td_error *error);
 /* trajectory.csv, events.csv, recording.mcap. */
 td_status task_write(const task_run *run, const scenario *s, const char *folder, td_error *error);
+/* Sessions one after another as one recording, each begun with a line of the log; without a run: the line
+ * alone. `given`: what besides the identity decides them, as inputs of their own kinds. */
+typedef struct task_part {
+    char text[700];
+    const task_run *run;
+} task_part;
+typedef struct task_given {
+    const char *kind;
+    char text[64];
+} task_given;
+td_status task_record_parts(const task_part *part, size_t count, const task_given *given, size_t given_count,
+                            const scenario *s, const char *identity, const char *path, td_error *error);
+/* What was given, from such a recording; it must be of this identity. */
+td_status task_given_read(task_given *given, size_t count, const char *path, const scenario *s,
+                          const char *identity, td_error *error);
 /* Inputs from events.csv or recording.mcap. */
 td_status task_replay_read(task_inputs *inputs, const char *path, const scenario *s, td_error *error);
 /* "order", "report" … */

@@ -176,6 +176,7 @@ typedef struct recorder {
     td_mcap_writer *writer;
     int channel[CHANNELS], inputs;
     const scenario *s;
+    double begun_s; /* of the session under way, in the recording's time */
 } recorder;
 
 /* The message's text is freed. */
@@ -212,11 +213,11 @@ static td_status begin_recording(recorder *r, const char *path, td_error *error)
 static td_status record_sample(recorder *r, const task_sample *a, td_error *error)
 {
     const td_robot *robot = r->s->robot;
-    td_plant_state wanted = {.time_s = a->time_s};
+    td_plant_state wanted = {.time_s = r->begun_s + a->time_s};
     char *json = NULL;
     size_t size = 0;
     uint64_t ns = 0;
-    td_mcap_time(&ns, a->time_s);
+    td_mcap_time(&ns, r->begun_s + a->time_s);
     td_status status =
         td_foxglove_transforms(&json, &size, robot, a->state.q, SITE, &a->state.site_from_vehicle, ns, error);
     TD_TRY(keep(r, TF, status, json, size, ns, error));
@@ -236,7 +237,7 @@ static td_status record_ground(recorder *r, const task_ground *g, td_error *erro
     char *json = NULL;
     size_t size = 0;
     uint64_t ns = 0;
-    td_mcap_time(&ns, g->time_s);
+    td_mcap_time(&ns, r->begun_s + g->time_s);
     const td_status status = td_foxglove_grid(&json, &size, g->map, ns, error);
     return keep(r, TERRAIN, status, json, size, ns, error);
 }
@@ -245,7 +246,8 @@ static td_status record_input(recorder *r, long period, double time_s, const cha
                               int joint, double stick, td_error *error)
 {
     uint64_t ns = 0;
-    td_mcap_time(&ns, time_s);
+    td_mcap_time(&ns, r->begun_s + time_s);
+    period += lround(r->begun_s / r->s->period_s);
     json_t *o = json_pack("{s:I, s:s, s:s, s:s, s:f}", "period", (json_int_t)period, "kind", kind, "name",
                           name, "joint", joint >= 0 ? r->s->robot->joint[joint].name : "", "stick", stick);
     char *text = o ? json_dumps(o, JSON_COMPACT | JSON_PRESERVE_ORDER | JSON_REAL_PRECISION(17)) : NULL;
@@ -262,7 +264,7 @@ static td_status record_note(recorder *r, const task_note *n, td_error *error)
     char text[600], *json = NULL;
     size_t size = 0;
     uint64_t ns = 0;
-    td_mcap_time(&ns, n->time_s);
+    td_mcap_time(&ns, r->begun_s + n->time_s);
     snprintf(text, sizeof text, "%s: %s%s%s", kinds[n->kind], n->name, *n->text ? ": " : "", n->text);
     const td_status status = td_foxglove_log(&json, &size, level, "session", text, ns, error);
     TD_TRY(keep(r, LOG, status, json, size, ns, error));
@@ -270,14 +272,20 @@ static td_status record_note(recorder *r, const task_note *n, td_error *error)
     return record_input(r, n->period, n->time_s, kinds[n->kind], n->name, n->joint, n->stick, error);
 }
 
-static td_status record_all(recorder *r, const task_run *run, const char *identity, td_error *error)
+/* The machine, and what the recording is of. */
+static td_status record_begin(recorder *r, const char *identity, td_error *error)
 {
     static const double yellow[4] = {0.93, 0.69, 0.13, 1};
     char *json = NULL;
-    size_t size = 0, next = 0, ground = 0;
+    size_t size = 0;
     const td_status status = td_foxglove_machine(&json, &size, r->s->robot, yellow, 0, error);
     TD_TRY(keep(r, MACHINE, status, json, size, 0, error));
-    TD_TRY(record_input(r, 0, 0, "scenario", identity, -1, 0, error));
+    return record_input(r, 0, 0, "scenario", identity, -1, 0, error);
+}
+
+static td_status record_run(recorder *r, const task_run *run, td_error *error)
+{
+    size_t next = 0, ground = 0;
     for (size_t i = 0; i < run->count; i++) {
         for (; next < run->note_count && run->note[next].time_s <= run->sample[i].time_s; next++)
             TD_TRY(record_note(r, run->note + next, error));
@@ -287,6 +295,11 @@ static td_status record_all(recorder *r, const task_run *run, const char *identi
     }
     for (; ground < run->ground_count; ground++) TD_TRY(record_ground(r, run->ground + ground, error));
     for (; next < run->note_count; next++) TD_TRY(record_note(r, run->note + next, error));
+    return TD_OK;
+}
+
+static td_status record_end(recorder *r, const task_run *run, td_error *error)
+{
     return record_input(r, run->input.end, run->time_s, "end", "end", -1, 0, error);
 }
 
@@ -295,7 +308,48 @@ static td_status record(const task_run *run, const scenario *s, const char *path
 {
     recorder r = {.s = s};
     td_status status = begin_recording(&r, path, error);
-    if (status == TD_OK) status = record_all(&r, run, identity, error);
+    if (status == TD_OK) status = record_begin(&r, identity, error);
+    if (status == TD_OK) status = record_run(&r, run, error);
+    if (status == TD_OK) status = record_end(&r, run, error);
+    if (status == TD_OK) status = td_mcap_finish(&r.writer, error);
+    td_mcap_writer_free(&r.writer);
+    return status;
+}
+
+/* ---- sessions one after another ---- */
+
+static td_status record_part(recorder *r, const task_part *part, td_error *error)
+{
+    char *json = NULL;
+    size_t size = 0;
+    uint64_t ns = 0;
+    td_mcap_time(&ns, r->begun_s);
+    const td_status status = td_foxglove_log(&json, &size, TD_LOG_INFO, "rehearsal", part->text, ns, error);
+    TD_TRY(keep(r, LOG, status, json, size, ns, error));
+    return part->run ? record_run(r, part->run, error) : TD_OK;
+}
+
+static td_status record_parts(recorder *r, const task_part *part, size_t count, const task_given *given,
+                              size_t given_count, const char *identity, td_error *error)
+{
+    const task_run nothing = {0}, *last = &nothing;
+    TD_TRY(record_begin(r, identity, error));
+    for (size_t i = 0; i < given_count; i++)
+        TD_TRY(record_input(r, 0, 0, given[i].kind, given[i].text, -1, 0, error));
+    for (size_t i = 0; i < count; i++) {
+        r->begun_s += last->time_s;
+        TD_TRY(record_part(r, part + i, error));
+        last = part[i].run ? part[i].run : &nothing;
+    }
+    return record_end(r, last, error);
+}
+
+td_status task_record_parts(const task_part *part, size_t count, const task_given *given, size_t given_count,
+                            const scenario *s, const char *identity, const char *path, td_error *error)
+{
+    recorder r = {.s = s};
+    td_status status = begin_recording(&r, path, error);
+    if (status == TD_OK) status = record_parts(&r, part, count, given, given_count, identity, error);
     if (status == TD_OK) status = td_mcap_finish(&r.writer, error);
     td_mcap_writer_free(&r.writer);
     return status;
@@ -346,6 +400,8 @@ typedef struct replay {
     const char *path;
     char identity[TD_HASH_HEX_SIZE];
     bool named, ended;
+    task_given *given; /* (given_count) to be filled: the first of its kind each; others are passed over */
+    size_t given_count;
 } replay;
 
 /* One row or message. `where` begins every complaint. */
@@ -368,6 +424,9 @@ static td_status take(replay *r, const char *where, long period, const char *kin
     }
     if (r->ended || period < last || period > 100000000)
         return td_fail(error, TD_ERROR_FORMAT, "%s: period %ld is out of order", where, period);
+    for (size_t i = 0; i < r->given_count; i++)
+        if (strcmp(kind, r->given[i].kind) == 0)
+            snprintf(r->given[i].text, sizeof r->given[i].text, "%s", name);
     if (strcmp(kind, "end") == 0) {
         r->ended = true;
         r->inputs->end = period;
@@ -466,4 +525,22 @@ td_status task_replay_read(task_inputs *inputs, const char *path, const scenario
                                                                  : read_csv(&r, error));
     if (!r.ended) return td_fail(error, TD_ERROR_FORMAT, "%s: it has no end: the log was cut off", path);
     return TD_OK;
+}
+
+td_status task_given_read(task_given *given, size_t count, const char *path, const scenario *s,
+                          const char *identity, td_error *error)
+{
+    task_inputs inputs = {.end = -1};
+    replay r = {.inputs = &inputs, .s = s, .path = path, .given = given, .given_count = count};
+    snprintf(r.identity, sizeof r.identity, "%s", identity);
+    td_status status = read_mcap(&r, error);
+    free(inputs.item);
+    if (status == TD_OK && !r.ended)
+        status = td_fail(error, TD_ERROR_FORMAT, "%s: it has no end: the recording was cut off", path);
+    for (size_t i = 0; i < count && status == TD_OK; i++)
+        if (!given[i].text[0])
+            status = td_fail(error, TD_ERROR_FORMAT,
+                             "%s: it does not say its %s: it is no recording of this command", path,
+                             given[i].kind);
+    return status;
 }

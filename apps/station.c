@@ -308,6 +308,11 @@ double station_height(const station *s, double x, double y)
     return td_world_height_at(s->world, x, y);
 }
 
+bool station_stone(td_pose *site_from_stone, const station *s, int index)
+{
+    return td_world_stone_at(site_from_stone, NULL, s->world, index);
+}
+
 /* ---- what it holds ---- */
 
 td_status station_map(const td_elevation **map, station *s, td_error *error)

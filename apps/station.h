@@ -67,6 +67,8 @@ td_status station_believe(station *s, const td_elevation *map, const double *sig
 td_status station_drive(station *s, double left_m_s, double right_m_s, td_error *error);
 double station_half_gauge(const station *s);
 double station_height(const station *s, double x, double y);
+/* Where a stone lies by now; false: there is none of that number. */
+bool station_stone(td_pose *site_from_stone, const station *s, int index);
 
 /* The map as it is now; lent until the next call or step. */
 td_status station_map(const td_elevation **map, station *s, td_error *error);

@@ -1,11 +1,16 @@
 """teledimos rehearse: the closed loop on a rendered site, with a head of half the resolution and a short trench.
 
-The happy way: the trench is dug in the true world, which is off in masses, soil, joint zeros and calibration; the map that is
-then seen is counted anew with numpy against truth.tif, and the volumes agree within their sigma (4 of them: one draw, seed
-fixed). No soil is lost. The same seed gives the same bytes. The ways it goes wrong each stop it, with the reason, before or
-while the machine moves: a calibration that is not the head's (60 sigma at the first pair; with TELEDIMOS_FULL=1 also 10, in the map at the end), a camera that goes dark after the digging, a trench on ground that nobody saw, soil twenty times harder. What a rehearsal cannot be is named.
+The happy way: the trench is dug in the true world, which is off in masses, soil, joint zeros and calibration. The volume measured
+where the ground is seen agrees with the truth there within 5 % and 2 of its sigma; the maps are read anew with numpy, and the
+floor that is seen is held against truth.tif. The tool is where it was predicted within 3 sigma. No soil is lost, nothing touched
+that was not to. The recording, replayed, gives the same bytes of every product.
+The ways it goes wrong each stop it, with the reason, before or while the machine moves: a calibration that is ten of its sigma off,
+a trench on ground that nobody saw; with TELEDIMOS_FULL=1 also one sixty sigma off, a camera that goes dark after the digging, soil
+ten times harder, a rock buried in the trench, one that lies there, and one in the way of the bucket, which is passed or told; and
+--seeds over three seeds and two covariances, whose errors and sigma grow together. What a rehearsal cannot be is named.
 
-Blind to: whether sigma hold over many draws (one seed); a base whose pose is measured with an error."""
+Blind to: whether sigma hold over many draws (--seeds 20 of datasets/zx200/trench.yaml shows it); a base whose pose is measured
+with an error; a mount of the head that is not as believed."""
 
 import filecmp
 import json
@@ -28,7 +33,7 @@ if SANITIZED:
     finish()
 
 ZX200 = os.path.join(SOURCE, "datasets/zx200")
-PRODUCTS = ("before.tif", "after.tif", "truth.tif", "round-1/ahead/recording.mcap", "round-1/done/recording.mcap",
+PRODUCTS = ("before.tif", "after.tif", "truth.tif", "recording.mcap", "round-1/ahead/recording.mcap", "round-1/done/recording.mcap",
             "round-1/done/trajectory.csv", "round-1/done/events.csv")
 
 
@@ -65,13 +70,13 @@ def rehearsal(folder, name, truth="", before="1..5", more=""):
     path = os.path.join(folder, name + ".yaml")
     with open(path, "w") as file:
         file.write(f"teledimos: rehearsal 1\nname: {name}\nscenario: dig.yaml\nrig: rig.yaml\ntruth: {{{truth}}}\n"
-                   f"look: {{before: {before}, frames: 3, poses: [{{swing: 0.1, boom: -1.0, arm: 0.8, bucket: 0.3}}]}}\n"
-                   f"draws: 2\nrounds: 1\n{more}")
+                   f"look: {{before: {before}, frames: 1, poses: [{{swing: 0.3, boom: -1.1, arm: 0.7, bucket: 0.3}}, "
+                   f"{{swing: -0.3, boom: -1.1, arm: 0.7, bucket: 0.3}}]}}\ndraws: 2\nrounds: 1\n{more}")
     return path
 
 
 def rehearse(path, out, *options, status=0):
-    code, text, errors = run("rehearse", path, "-o", out, "--json", *options)
+    code, text, errors = run("rehearse", path, "-o", out, "--json", *options, timeout=1500)
     if code != status:
         check(False, f"rehearse {path} {' '.join(options)}: status {code} {errors.strip()} {text[:1500]}")
         finish()
@@ -103,10 +108,16 @@ def happy(folder):
     check(r["rounds"][0]["executed"] and r["rounds"][0]["passes"] >= 1, "a round was executed")
     check(abs(r["mass_error_kg"]) < 1e-6, "no soil is lost")
     check(r["dug_volume_m3"] > 0.6 * r["planned_volume_m3"], f"dug {r['dug_volume_m3']:.3f} of {r['planned_volume_m3']:.3f} m3")
-    off = abs(r["measured_volume_m3"] - r["dug_volume_m3"])
-    check(off < 4 * r["sigma_volume_m3"], f"measured volume {off:.3f} m3 off, sigma {r['sigma_volume_m3']:.3f}")
-    check(off < 0.15 * r["dug_volume_m3"], f"measured volume {off:.3f} m3 off {r['dug_volume_m3']:.3f}")
-    check(r["tip_error_m"] < 4 * r["sigma_tip_m"], f"tool {r['tip_error_m']:.4f} m off, sigma {r['sigma_tip_m']:.4f}")
+    check(r["seen_share"] > 0.85, f"{100 * r['seen_share']:.0f} % of the trench's surroundings seen")
+    off = abs(r["measured_volume_m3"] - r["dug_seen_m3"])
+    check(off < 2 * r["sigma_volume_m3"], f"measured volume {off:.3f} m3 off, sigma {r['sigma_volume_m3']:.3f}")
+    check(off < 0.05 * r["dug_seen_m3"], f"measured volume {off:.3f} m3 off {r['dug_seen_m3']:.3f}")
+    check(r["unmeant_contacts"] == 0, "nothing was touched that was not to")
+    check(r["rig_sigmas"] < 2, f"the images show a rig {r['rig_sigmas']:.2f} of its sigma off")
+    check(r["tip_error_m"] < 0.03, f"tool {r['tip_error_m']:.3f} m off")
+    check(r["tip_above_error_m"] < 3 * r["sigma_tip_above_m"],
+          f"the tool's height above the ground {r['tip_above_error_m']:.4f} m off, sigma {r['sigma_tip_above_m']:.4f}")
+    check(r["tip_error_m"] < 3 * r["sigma_tip_m"], f"tool {r['tip_error_m']:.4f} m off, sigma {r['sigma_tip_m']:.4f}")
     check(r["collision_probability_max"] < 0.01, "no probable contact")
     check(r["real_time_factor"] > 1, f"ahead {r['real_time_factor']:.1f} times real time")
     check(r["epipolar_px"] < 0.1, f"epipolar {r['epipolar_px']:.3f} px")
@@ -117,9 +128,13 @@ def happy(folder):
     middle = numpy.nanmedian(numpy.abs(floor))
     check(middle < 0.04, f"the floor of the trench as seen is {middle:.3f} m off the truth")
     again = os.path.join(folder, "again")
-    rehearse(os.path.join(folder, "happy.yaml"), again, "--seed", "3", "--accept", "--threads", "1")
+    rehearse(os.path.join(folder, "happy.yaml"), again, "--replay", os.path.join(out, "recording.mcap"), "--accept", "--threads",
+             "1")
     for name in PRODUCTS:
         check(filecmp.cmp(os.path.join(out, name), os.path.join(again, name), False), f"the same bytes again: {name}")
+    other = rehearsal(folder, "other-one", truth="soil_sigma: 0.1")
+    refused("a recording of another rehearsal", 1, ["another"], other, "--replay", os.path.join(out, "recording.mcap"),
+            command="rehearse")
 
 
 def stopped(folder, name, words, executed, **how):
@@ -130,19 +145,38 @@ def stopped(folder, name, words, executed, **how):
     check(any(one["executed"] for one in r["rounds"]) == executed, f"{name}: executed {executed}")
 
 
-def ten_sigma(folder):
-    r = rehearse(rehearsal(folder, "ten", truth="rig_sigma: 10"), os.path.join(folder, "ten"), "--seed", "3", status=3)
-    check(any("sigma" in reason for reason in r["reasons"]), f"a calibration ten sigma off is told: {r['reasons']}")
-    check(r["map_share_within_sigma"] < 0.5, f"share within sigma {r['map_share_within_sigma']:.2f}")
+def passed_or_told(folder, name, **how):
+    r = rehearse(rehearsal(folder, name, **how), os.path.join(folder, name), "--seed", "3", "--accept")
+    check(r["unmeant_contacts"] == 0, f"{name}: no contact that was not told")
+    check(r["stopped"] or r["rounds"][0]["executed"], f"{name}: passed, or told: {r['stopped']}")
+
+
+def many(folder):
+    path = rehearsal(folder, "many", truth="mass_sigma: 0, soil_sigma: 0, joint_sigma_deg: 0")
+    r = rehearse(path, os.path.join(folder, "many"), "--seeds", "3", "--rig-covariance", "0", "--rig-covariance", "100",
+                 "--accept")
+    one, more = r["covariances"]
+    check(len(r["seeds"]) == 6 and one["seeds"] == more["seeds"] == 3, "three seeds of two covariances")
+    check(one["ended"] == 3 and one["mass_error_max_kg"] < 1e-6 and one["unmeant_contacts"] == 0, f"all came to their end: {one}")
+    for key in ("tip_above_error_median_m", "sigma_tip_above_median_m"):
+        check(more[key] > 1.5 * one[key], f"{key} grows with the rig's covariance: {one[key]:.4f}, {more[key]:.4f}")
+    with open(os.path.join(folder, "many", "seeds.csv")) as file:
+        check(len(file.readlines()) == 7, "seeds.csv has a row each")
 
 
 def failures(folder):
-    if FULL:
-        ten_sigma(folder)
+    stopped(folder, "ten", ("calibrat", "sigma"), False, truth="rig_sigma: 10")
+    stopped(folder, "unseen", ("unknown",), False, before="3..3")
+    if not FULL:
+        return
     stopped(folder, "turned", ("calibrat",), False, truth="rig_sigma: 60")
     stopped(folder, "dark", ("camera is dark",), True, truth="dark_look: 6")
-    stopped(folder, "unseen", ("unknown",), False, before="3..3")
-    stopped(folder, "hard", ("stopped safely",), True, truth="soil_times: 20")
+    stopped(folder, "hard", ("stopped safely",), True, truth="soil_times: 10")
+    stopped(folder, "buried", ("stopped safely",), True,
+            truth="stones: [{at_m: [6.0, 0.2, -0.22], radius_m: 0.3, density_kg_m3: 0}]")
+    passed_or_told(folder, "lies", truth="stones: [{at_m: [6.0, 0.2, 0.25], radius_m: 0.3}]")
+    passed_or_told(folder, "rock", truth="stones: [{at_m: [4.2, 4.0, 0.9], radius_m: 1.0}]")
+    many(folder)
 
 
 def bad_input(folder):
