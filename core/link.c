@@ -107,6 +107,11 @@ void td_link_close(td_link *link, const char *why)
     link_fail(link, "%s", why);
 }
 
+void td_link_set_timeout(td_link *link, double timeout_s)
+{
+    link->o.timeout_s = timeout_s;
+}
+
 void link_write(td_link *link, const void *bytes, size_t size)
 {
     if (link->state == TD_LINK_CLOSED) return;

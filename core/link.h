@@ -125,6 +125,8 @@ typedef struct td_link_frame {
 } td_link_frame;
 /* The next one that has come; false: none. */
 TD_API bool td_link_next(td_link_frame *frame, td_link *link);
+/* Another timeout than that of the options, once it is known what the link is for. */
+TD_API void td_link_set_timeout(td_link *link, double timeout_s);
 TD_API void td_link_close(td_link *link, const char *why); /* at once; what waits is lost */
 
 typedef struct td_link_measure {

@@ -2,8 +2,10 @@
 #include "core/machine_messages.h"
 
 #include <math.h>
+#include <poll.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 
 /* Writing (at NULL: only counting) or reading, until something is wrong. */
 typedef struct coder {
@@ -330,6 +332,37 @@ td_status td_machine_send(td_link *link, const td_machine_message *message, bool
     const td_status status = td_link_send(link, (uint8_t)message->kind, payload, size, may_drop, error);
     free(payload);
     return status;
+}
+
+double td_machine_now_s(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+td_status td_machine_wait(td_machine_message *message, bool *came, td_link *link, double seconds,
+                          td_error *error)
+{
+    static const double LOOK_S = 0.01; /* pings are due, too */
+    const double until = td_machine_now_s() + seconds;
+    td_link_frame frame;
+    *came = false;
+    for (;;) {
+        td_link_poll(link, td_machine_now_s());
+        if (td_link_next(&frame, link)) {
+            *came = true;
+            return td_machine_decode(message, frame.kind, frame.payload, frame.size, error);
+        }
+        if (td_link_state_of(link) == TD_LINK_CLOSED)
+            return td_fail(error, TD_ERROR_IO, "the link to %s is closed: %s", td_link_peer(link),
+                           td_link_why(link, NULL));
+        const double left = until - td_machine_now_s();
+        if (left <= 0) return TD_OK;
+        struct pollfd p = {0};
+        p.fd = td_link_fd(link, &p.events);
+        (void)poll(&p, 1, (int)ceil(1e3 * fmin(left, LOOK_S)));
+    }
 }
 
 const char *td_machine_order_name(td_machine_order order)

@@ -161,6 +161,13 @@ TD_API td_status td_machine_decode(td_machine_message *message, uint8_t kind, co
 TD_API td_status td_machine_send(td_link *link, const td_machine_message *message, bool may_drop,
                                  td_error *error);
 
+/* Waits at most `seconds` for the next message, while the link is polled. *came false: none came. Fails when
+ * the link is closed (TD_ERROR_IO, with its reason) or when what came is no message. What is lent stays until
+ * the next call. */
+TD_API td_status td_machine_wait(td_machine_message *message, bool *came, td_link *link, double seconds,
+                                 td_error *error);
+TD_API double td_machine_now_s(void); /* of the monotonic clock, as the link's now_s */
+
 TD_API const char *td_machine_order_name(td_machine_order order); /* "execute"; "unknown" */
 TD_API const char *td_machine_mode_name(td_machine_mode mode);
 
