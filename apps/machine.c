@@ -50,8 +50,7 @@ static cli_option options[] = {
 static cli_command command = {
     .name = "machine",
     .summary = "the simulated machine as a process of its own, and orders to it",
-    .usage = "SCENARIO --listen HOST:PORT --token-file FILE, or VERB [SCENARIO] --connect HOST:PORT "
-             "--token-file FILE",
+    .usage = "SCENARIO --listen HOST:PORT, or VERB [SCENARIO] --connect HOST:PORT",
     .text = "With --listen: the machine of SCENARIO (one with a ground: see teledimos simulate) stands in a "
             "world of "
             "solid bodies in real time, and obeys one master. It is given tasks, each with what its "

@@ -23,6 +23,7 @@ typedef struct master {
     td_machine_stopped stopped;
     td_machine_answer answer;
     bool has_welcome, has_state, has_stopped, has_answer;
+    bool stopping; /* interrupted: what is left is to see the machine at rest */
     int images;
     json_t *task; /* what came of it; NULL: none */
 } master;
@@ -103,7 +104,7 @@ static td_status await(master *m, const bool *flag, double seconds, const char *
     const double until = td_machine_now_s() + seconds;
     while (!*flag) {
         TD_TRY(hear(m, 0.05, error));
-        if (terminal_interrupted()) return td_fail(error, TD_ERROR_CANCELLED, "interrupted");
+        if (terminal_interrupted() && !m->stopping) return td_fail(error, TD_ERROR_CANCELLED, "interrupted");
         if (td_machine_now_s() > until)
             return td_fail(error, TD_ERROR_DEADLINE, "the machine at %s gave no %s within %g s",
                            td_link_peer(m->link), what, seconds);
@@ -192,9 +193,10 @@ static td_status send_task(const machine_verdict *v, master *m, const scenario *
 static td_status stop_first(master *m, td_error *error)
 {
     bool unused;
-    td_error none = {0};
-    (void)order(m, TD_ORDER_STOP, &unused, &none);
-    return td_fail(error, TD_ERROR_CANCELLED, "interrupted: the machine was stopped");
+    m->stopping = true;
+    TD_TRY(order(m, TD_ORDER_STOP, &unused, error));
+    TD_TRY(await(m, &m->has_stopped, RESTS_S, "word of its stop", error));
+    return td_fail(error, TD_ERROR_CANCELLED, "interrupted: the machine was stopped, and is at rest");
 }
 
 static td_status watch(master *m, td_error *error)

@@ -93,8 +93,7 @@ static void take_task(machine *m, const td_machine_task *sent)
                sent->size);
     if (!may_take(m)) {
         machine_answer(m, TD_MACHINE_TASK, 0, false, "%s: %s",
-                       m->logic.phase == TD_PHASE_FAILED ? "Reinit first" : "not now",
-                       td_phase_text(m->logic.phase));
+                       m->shown == TD_PHASE_FAILED ? "Reinit first" : "not now", td_phase_text(m->shown));
         return;
     }
     forget_task(m);

@@ -11,6 +11,7 @@
 static const double AT_REST = 2e-3;     /* rad/s or m/s of each joint, and of the base */
 static const double WISH_PERIODS = 3;   /* a joint command holds so long */
 static const double SLIP_S = 1;         /* further behind than that, lost time is given up */
+static const double LOOKS_A_PERIOD = 8; /* of the heartbeat: how sharply its timeout is kept */
 static const double MANUAL_SHARE = 0.5; /* of each joint's own acceleration, when it brakes */
 
 /* ---- what is shown ---- */
@@ -120,10 +121,11 @@ td_status machine_tick(machine *m, td_phase phase, td_fault fault, int step, int
     m->ticks++;
     m->tick_s += m->s->period_s;
     double left = m->tick_s - td_machine_now_s();
-    do {
-        TD_TRY(machine_hear(m, fmax(0, left), error));
+    const bool had = m->master != NULL;
+    do { /* a master who is lost is not waited for */
+        TD_TRY(machine_hear(m, fmax(0, fmin(left, m->o->period_s / LOOKS_A_PERIOD)), error));
         left = m->tick_s - td_machine_now_s();
-    } while (left > 0 && !terminal_interrupted());
+    } while (left > 0 && !terminal_interrupted() && !(had && !m->master));
     if (left < -m->s->period_s) m->misses++;
     if (left < -SLIP_S) {
         audit_line(&m->audit, "late", NULL, "%.2f s behind; time goes on from here", -left);

@@ -231,6 +231,14 @@ static void finish_connect(td_link *link)
         link_say_hello(link);
 }
 
+/* What a client may have done wrong. */
+static const char *hint(const td_link *link)
+{
+    if (link->server) return "";
+    if (link->state == TD_LINK_HELLO && !link->tls) return " before it said anything: does it want TLS?";
+    return link->state == TD_LINK_PROOF ? " when tokens were compared: do both hold the same?" : "";
+}
+
 /* No more at a time than is worth a frame or so: what comes faster waits in the kernel, and slows the sender.
  */
 static void receive(td_link *link, double now_s)
@@ -247,10 +255,7 @@ static void receive(td_link *link, double now_s)
             continue;
         }
         link_fail(link, "the other end closed the connection%s%s%s", n < 0 ? ": " : "",
-                  n < 0 ? strerror(errno) : "",
-                  link->state == TD_LINK_PROOF && !link->server
-                      ? " when tokens were compared: do both hold the same?"
-                      : "");
+                  n < 0 ? strerror(errno) : "", hint(link));
         return;
     }
 }
