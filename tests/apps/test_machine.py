@@ -29,6 +29,7 @@ import subprocess
 import tempfile
 import threading
 import time
+import traceback
 
 import numpy
 
@@ -181,7 +182,10 @@ class Link:
         return head + mac(self.keys[0], head)[:16]
 
     def send(self, kind, payload=b""):
-        self.socket.sendall(self.frame(kind, payload))
+        try:
+            self.socket.sendall(self.frame(kind, payload))
+        except OSError:
+            raise Closed("closed") from None
 
     def next(self, seconds=3):
         """The next frame that is no heartbeat."""
@@ -744,11 +748,23 @@ NEAR = scenario("near", "  - position: {joints: {swing_deg: 12, boom_deg: -50}, 
 FAR = [scenario(f"far{k}", f"  - position: {{joints: {{swing_deg: {swing}}}, law: quintic}}\n", 0.6) for k, swing in enumerate((120, -120))]
 CERTIFICATE, PRIVATE = make_certificate()
 
-threads = [threading.Thread(target=on_this_computer), threading.Thread(target=over_a_wire)]
+
+
+def guarded(test):
+    """In a thread: what goes wrong there fails the tests."""
+    def run_it():
+        try:
+            test()
+        except Exception as why:  # whatever it is
+            check(False, f"{test.__name__}: {type(why).__name__}: {why}\n{traceback.format_exc()}")
+    return run_it
+
+
+threads = [threading.Thread(target=guarded(on_this_computer)), threading.Thread(target=guarded(over_a_wire))]
 for thread in threads:
     thread.start()
-on_the_command_line()
-try_tls()
+guarded(on_the_command_line)()
+guarded(try_tls)()
 for thread in threads:
     thread.join()
 shutil.rmtree(folder, ignore_errors=True)
