@@ -250,10 +250,22 @@ static void wait_for_any(const machine *m, double seconds)
     (void)poll(p, n, milliseconds < 1 ? 1 : milliseconds);
 }
 
+/* Other processes, and its own work, may keep it from looking. */
+static void note_starving(machine *m, double now_s, double meant_s)
+{
+    const double over = now_s - m->heard_s - meant_s;
+    if (m->heard_s > 0 && (over > m->starved_s || now_s > m->starved_at_s + 1)) {
+        m->starved_s = fmax(0, over);
+        m->starved_at_s = now_s;
+    }
+    m->heard_s = now_s;
+}
+
 td_status machine_hear(machine *m, double seconds, td_error *error)
 {
     if (seconds > 0) wait_for_any(m, seconds);
     const double now = td_machine_now_s();
+    note_starving(m, now, seconds);
     let_in(m, now);
     for (int i = 0; i < MACHINE_PENDING; i++)
         if (m->pending[i]) hear_stranger(m, &m->pending[i], now);

@@ -73,7 +73,9 @@ static void begin_stop(machine *m, double silent_s, const char *why)
     m->stop.found = (td_machine_stopped){.silent_s = silent_s, .took_s = -1};
     memcpy(m->stop.q, m->state.q, sizeof m->stop.q);
     snprintf(m->stop.found.why, sizeof m->stop.found.why, "%s", why);
-    audit_line(&m->audit, "stop", json_pack("{s:f, s:f}", "time_s", m->state.time_s, "silent_s", silent_s),
+    audit_line(&m->audit, "stop",
+               json_pack("{s:f, s:f, s:f}", "time_s", m->state.time_s, "silent_s", silent_s, "starved_s",
+                         m->starved_s),
                "%s", why);
 }
 
