@@ -27,6 +27,7 @@ td_status machine_link_options(td_link_options *options, uint8_t token[TD_LINK_T
     options->token_size = size;
     options->period_s = o->period_s;
     options->timeout_s = MACHINE_TIMEOUT_PERIODS * o->period_s;
+    options->handshake_s = fmax(options->handshake_s, 2 * options->timeout_s);
     options->tls = o->tls || o->certificate || o->authority;
     options->certificate = o->certificate;
     options->key = o->key;
