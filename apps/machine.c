@@ -76,10 +76,12 @@ static cli_command command = {
             "Exit status: 0 done, 1 failed, 2 wrong usage, 3 the machine refused, or stopped.",
     .examples =
         "  openssl rand -hex 32 >token; chmod 600 token\n"
-        "  teledimos machine datasets/zx200/dig.yaml --listen 127.0.0.1:7420 --token-file token -o machine "
-        "--for 60 &\n"
+        "  teledimos simulate datasets/zx200/dig.yaml -o site\n"
+        "  teledimos machine datasets/zx200/dig.yaml --listen 127.0.0.1:7420 --token-file token -o site "
+        "--for 600 & sleep 3\n"
         "  teledimos machine status --connect 127.0.0.1:7420 --token-file token\n"
-        "  teledimos machine run datasets/zx200/dig.yaml --connect 127.0.0.1:7420 --token-file token\n",
+        "  teledimos machine run datasets/zx200/dig.yaml --connect 127.0.0.1:7420 --token-file token -o "
+        "site\n",
     .option = options,
     .option_count = sizeof options / sizeof *options,
     .least = 1,

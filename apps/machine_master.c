@@ -10,7 +10,8 @@
 #include "core/number.h"
 #include "core/remote_plant.h"
 
-static const double MEASURED_S = 0.5; /* of the link, for status */
+static const double MEASURED_S = 0.5;     /* of the link, for status */
+static const double PATIENT_PERIODS = 10; /* whether the machine is safe is the machine's to judge */
 static const double ANSWER_S = 5, CHECKED_S = 120, RESTS_S = 10;
 
 typedef struct master {
@@ -383,6 +384,7 @@ td_status machine_master(const machine_options *o, terminal *term, bool *refused
     m->o = o;
     m->term = term;
     td_status status = machine_link_options(&m->link_options, token, o, error);
+    m->link_options.timeout_s = PATIENT_PERIODS * o->period_s;
     if (status == TD_OK && o->scenario) status = machine_read(&s, o, o->scenario, &progress, error);
     if (status == TD_OK) status = obey(m, &s, refused, error);
     if (status == TD_OK) status = tell(m, *refused, error);

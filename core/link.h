@@ -6,21 +6,22 @@
  *   CONNECTING  TCP, and TLS where it is asked for                  HELLO
  *   HELLO       the other's hello, of this version and channel      PROOF
  *   PROOF       the other's proof that it holds the token           OPEN
- *   OPEN        frames, until what is refused below or td_link_close CLOSED
+ *   OPEN        what is refused below, td_link_close                CLOSED
  *   any         anything else; handshake_s are over before OPEN     CLOSED (td_link_why)
  *
  * On the wire, numbers with the highest byte first:
  *   hello   "TDLK", u16 version, u8 side (0 client, 1 server), u8 channel, 16 bytes of session, 32 of a
- * nonce. The client's comes first. A server of another version answers with its hello, and closes. proof
- * HMAC-SHA256(token; "teledimos client proof", client's hello, server's hello, binding); the server's with
- * "server", and only after the client's was right. The binding is what TLS exports under
- *           "EXPORTER-teledimos-link" (32 bytes; zeros without TLS), so that nobody can sit in the middle who
- *           has not the token, whatever certificates are believed. The token is never sent.
- *   frame   u32 size of the payload, u8 version, u8 kind, u64 sequence, payload, tag: the first 16 bytes of
- *           HMAC-SHA256(key; all before it), key = HMAC-SHA256(token; "teledimos client frames" or "server",
- *           the same as in the proof). Sequence: 0, 1, 2 … each way.
- *   ping    kind 255, u64 number, twice each period; pong: kind 254, the same number, at once; farewell: kind
- *           253, nothing.
+ *           nonce. The client's comes first. A server answers another version with its hello, and closes.
+ *   proof   HMAC-SHA256(token; "teledimos client proof", client's hello, server's hello, binding); the
+ *           server's with "server", and only after the client's was right. The binding is what TLS exports
+ *           under "EXPORTER-teledimos-link" (32 bytes; zeros without TLS), so that nobody can sit in the
+ *           middle who has not the token, whatever certificates are believed. The token is never sent.
+ *   frame   u32 size of the payload, u8 version, u8 kind, u64 sequence, payload, tag: the first 16 bytes
+ *           of HMAC-SHA256(key; all before it), key = HMAC-SHA256(token; "teledimos client frames", the
+ *           rest as in the proof), or with "server". Sequence: 0, 1, 2 ... each way.
+ *   ping    a frame of kind 255, u64 number, twice each period
+ *   pong    254, the same number, at once
+ *   farewell  253, nothing
  *
  * Refused, by closing: a tag that is wrong; a sequence number out of turn (a replayed frame); a payload above
  * frame_max; more frames a second than frames_per_s, more bytes than bytes_per_s; a frame that takes longer
@@ -61,8 +62,8 @@ typedef enum td_link_state {
 typedef struct td_link_options {
     const void *token; /* copied */
     size_t token_size;
-    uint8_t channel;                       /* both sides must mean the same; a server takes any with -> */
-    bool any_channel;                      /* server: td_link_channel tells */
+    uint8_t channel;                       /* both sides must mean the same, but for a server with: */
+    bool any_channel;                      /* td_link_channel tells which */
     uint8_t session[TD_LINK_SESSION_SIZE]; /* client: of another link that this one belongs to; else zeros */
     double period_s, timeout_s;            /* of the heartbeat: 0.1, 0.3 */
     double handshake_s;                    /* 2 */

@@ -7,7 +7,7 @@
  *
  *   kind  from     message   payload
  *   1     machine  WELCOME   u16 version, 16 bytes session, u8 operator (1: yours to command), text robot,
- *                            text model, real period_s, n, n texts (joints' names)
+ *                            64 hex digits model, real period_s, n, n texts (joints' names)
  *   2     master   TASK      64 hex digits task, 64 model, n, n reals start, real duration_s, n reals end,
  *                            n reals force, u32 size, the task's YAML
  *   3     master   ORDER     u8 td_machine_order
@@ -17,8 +17,8 @@
  *                            u16 step, u16 steps, 7 reals pose (q: w, x, y, z; t: x, y, z), 6 reals twist, n,
  *                            5 n reals (q, dq, force, pressure, flow), n u8 (1: at a stop)
  *   7     machine  STOPPED   real time_s, real silent_s, real took_s, u8 joint, real angle, text why
- *   8     machine  IMAGE     real time_s, u8 side, u16 width, u16 height, 7 reals pose, n, n reals q, u32
- * size, JPEG (on the images' own link)
+ *   8     machine  IMAGE     real time_s, u8 side, u16 width, u16 height, 7 reals pose, n, n reals q,
+ *                            u32 size, JPEG (on the images' own link)
  *
  * Who sends TASK vouches that he simulated it: from where (start), how long it took, where the joints ended,
  * and the most that each joint's cylinders pushed. */
@@ -64,6 +64,16 @@ typedef enum td_machine_order {
     TD_ORDER_COUNT
 } td_machine_order;
 
+/* What the machine is about, and where an order or a message leads; all others are refused, and told why. A
+ * master who is lost leads from each to FAILED, STOP to REST (FAILED stays), Reinit at rest to REST.
+ *
+ *   REST      TASK that fits -> CHECKING, MANUAL -> MANUAL (after a task only once REINIT was given)
+ *   CHECKING  its own simulation agrees -> HOLDING, does not -> REST
+ *   HOLDING   EXECUTE -> WORKING, TASK -> CHECKING
+ *   WORKING   the end -> REST, PAUSE -> PAUSED, a fault -> FAILED
+ *   PAUSED    RESUME -> WORKING
+ *   MANUAL    JOINTS (each holds for three periods), AUTOMATIC -> REST
+ *   FAILED    REINIT -> REST */
 typedef enum td_machine_mode {
     TD_MODE_REST,     /* stands, and may be commanded */
     TD_MODE_CHECKING, /* simulates a task that it was sent */

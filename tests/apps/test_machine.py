@@ -650,7 +650,7 @@ trouble.count = 0
 def over_a_wire():
     try:
         wire = Wire()
-    except (OSError, IndexError, subprocess.CalledProcessError) as why:
+    except (OSError, IndexError, subprocess.CalledProcessError) as why:  # no rights, no /dev/net/tun, no iproute2
         skip(f"no network namespaces or TAP devices here: {why}")
         return
     try:
