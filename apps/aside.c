@@ -19,11 +19,11 @@ struct aside {
     size_t size, room;
 };
 
-static void work_there(int to, bool (*work)(void *user, FILE *out), void *user)
+static void work_there(int to, bool (*work)(void *user, FILE *out), void *user, int behind)
 {
     signal(SIGINT, SIG_IGN); /* the parent decides */
     signal(SIGTERM, SIG_DFL);
-    (void)setpriority(PRIO_PROCESS, 0, 5); /* what is in time comes first */
+    if (behind) (void)setpriority(PRIO_PROCESS, 0, getpriority(PRIO_PROCESS, 0) + behind);
     for (int fd = 3; fd < MOST_FILES; fd++)
         if (fd != to) close(fd);
     FILE *out = fdopen(to, "wb");
@@ -31,7 +31,8 @@ static void work_there(int to, bool (*work)(void *user, FILE *out), void *user)
     _exit(fine ? 0 : 1);
 }
 
-td_status aside_begin(aside **made, bool (*work)(void *user, FILE *out), void *user, td_error *error)
+td_status aside_begin(aside **made, bool (*work)(void *user, FILE *out), void *user, int behind,
+                      td_error *error)
 {
     int ends[2];
     aside *a = *made = calloc(1, sizeof *a);
@@ -43,7 +44,7 @@ td_status aside_begin(aside **made, bool (*work)(void *user, FILE *out), void *u
     }
     fflush(NULL);
     a->child = fork();
-    if (a->child == 0) work_there(ends[1], work, user);
+    if (a->child == 0) work_there(ends[1], work, user, behind);
     close(ends[1]);
     a->fd = ends[0];
     if (a->child > 0 && fcntl(a->fd, F_SETFL, O_NONBLOCK) == 0) return TD_OK;
@@ -52,21 +53,32 @@ td_status aside_begin(aside **made, bool (*work)(void *user, FILE *out), void *u
     return td_fail(error, TD_ERROR_IO, "a process: %s", strerror(failed));
 }
 
-static void reap(aside *a)
+static void close_pipe(aside *a)
 {
-    int status = -1;
-    while (a->child > 0 && waitpid(a->child, &status, 0) < 0 && errno == EINTR) continue;
-    a->child = 0;
-    a->fine = WIFEXITED(status) && WEXITSTATUS(status) == 0;
     if (a->fd >= 0) close(a->fd);
     a->fd = -1;
+}
+
+/* Whether the process is gone. One that has said all may still be long in ending, where others are busy: it
+ * is not waited for. */
+static bool is_gone(aside *a, int how)
+{
+    int status = -1;
+    pid_t gone = 0;
+    if (a->child <= 0) return true;
+    while ((gone = waitpid(a->child, &status, how)) < 0 && errno == EINTR) continue;
+    if (gone == 0) return false;
+    a->child = 0;
+    a->fine = gone > 0 && WIFEXITED(status) && WEXITSTATUS(status) == 0;
+    return true;
 }
 
 void aside_free(aside **a)
 {
     if (!a || !*a) return;
     if ((*a)->child > 0) kill((*a)->child, SIGKILL);
-    reap(*a);
+    close_pipe(*a);
+    (void)is_gone(*a, 0);
     free((*a)->bytes);
     free(*a);
     *a = NULL;
@@ -92,22 +104,19 @@ static bool make_room(aside *a)
 bool aside_poll(aside *a)
 {
     while (a->fd >= 0) {
-        if (!make_room(a)) {
-            kill(a->child, SIGKILL);
-            reap(a);
-            return true;
-        }
+        if (!make_room(a)) kill(a->child, SIGKILL), close_pipe(a);
+        if (a->fd < 0) break;
         const ssize_t n = read(a->fd, a->bytes + a->size, a->room - a->size);
         if (n > 0) a->size += (size_t)n;
         if (n < 0 && errno == EINTR) continue;
         if (n < 0 && (errno == EAGAIN || errno == EWOULDBLOCK)) return false;
-        if (n <= 0) reap(a);
+        if (n <= 0) close_pipe(a);
     }
-    return true;
+    return is_gone(a, WNOHANG);
 }
 
 const void *aside_bytes(const aside *a, size_t *size)
 {
     *size = a->size;
-    return a->fd < 0 && a->fine ? a->bytes : NULL;
+    return a->child == 0 && a->fine ? a->bytes : NULL;
 }

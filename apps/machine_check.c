@@ -121,7 +121,7 @@ td_status machine_check_begin(machine_check *check, td_error *error)
     }
     memset(check->start.twist, 0, sizeof check->start.twist);
     check->start.time_s = 0;
-    return aside_begin(&check->work, work, check, error);
+    return aside_begin(&check->work, work, check, 0, error);
 }
 
 bool machine_check_poll(machine_verdict *found, machine_check *check)

@@ -124,8 +124,9 @@ typedef struct machine {
     /* time */
     double begun_s, tick_s; /* tick_s: when the next period is due */
     uint64_t ticks, misses;
-    double heard_s;                 /* when it last looked at its links, */
-    double starved_s, starved_at_s; /* by how much later than it meant to, at worst in the last second */
+    double heard_s;                  /* when it last looked at its links, */
+    double starved_s, starved_at_s;  /* by how much later than it meant to, at worst in the last second */
+    double worked_s, longest_work_s; /* of the processor, up to then; the most between two looks */
 } machine;
 
 /* machine_serve.c: the end of a period: shows the state, hears everyone until the next is due. */

@@ -6,6 +6,7 @@
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
+#include <time.h>
 
 #include "apps/machine_internal.h"
 
@@ -137,7 +138,8 @@ static void meet_master(machine *m, td_link *link)
 
 static void meet_pictures(machine *m, td_link *link)
 {
-    const bool his = m->master && CRYPTO_memcmp(td_link_session(link), m->session, sizeof m->session) == 0;
+    const bool his = m->master && td_link_channel(link) == TD_MACHINE_IMAGES &&
+                     CRYPTO_memcmp(td_link_session(link), m->session, sizeof m->session) == 0;
     if (!his) {
         audit_stranger(&m->audit, "refused", "%s: a link for images of no session under way",
                        td_link_peer(link));
@@ -260,6 +262,11 @@ static void note_starving(machine *m, double now_s, double meant_s)
         m->starved_at_s = now_s;
     }
     m->heard_s = now_s;
+    struct timespec cpu;
+    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &cpu);
+    const double worked_s = (double)cpu.tv_sec + 1e-9 * (double)cpu.tv_nsec;
+    m->longest_work_s = fmax(m->longest_work_s, worked_s - m->worked_s);
+    m->worked_s = worked_s;
 }
 
 td_status machine_hear(machine *m, double seconds, td_error *error)

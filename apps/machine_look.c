@@ -166,5 +166,5 @@ td_status machine_look(machine *m, td_error *error)
     if (!m->rig || !m->pictures || now < m->next_look_s || td_link_unsent(m->pictures)) return TD_OK;
     m->next_look_s = now + 1 / m->o->image_hz;
     m->looks++;
-    return aside_begin(&m->look, work, m, error);
+    return aside_begin(&m->look, work, m, 10, error);
 }

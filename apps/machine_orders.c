@@ -13,7 +13,7 @@ static const td_event events[TD_ORDER_COUNT] = {
     [TD_ORDER_PAUSE] = TD_EVENT_PAUSE,        [TD_ORDER_RESUME] = TD_EVENT_RESUME,
     [TD_ORDER_REINIT] = TD_EVENT_REINIT,      [TD_ORDER_MANUAL] = TD_EVENT_MANUAL,
     [TD_ORDER_AUTOMATIC] = TD_EVENT_AUTOMATIC};
-/* What a session under way may be given; the others wait until it has come to rest. */
+/* What a session that comes to rest may be given; the others wait until it has. */
 static const uint32_t IN_SESSION =
     ORDER_BIT(TD_ORDER_STOP) | ORDER_BIT(TD_ORDER_PAUSE) | ORDER_BIT(TD_ORDER_RESUME);
 
@@ -27,7 +27,11 @@ static bool is_preparing(const machine *m)
 
 uint32_t machine_orders(machine *m)
 {
-    const uint32_t now = m->asked & (m->in_session ? IN_SESSION : is_preparing(m) ? 0 : UINT32_MAX);
+    const bool at_work = m->shown == TD_PHASE_EXECUTING || m->shown == TD_PHASE_EXECUTION_PAUSED;
+    const uint32_t may = m->in_session     ? (at_work ? UINT32_MAX : IN_SESSION)
+                         : is_preparing(m) ? 0
+                                           : UINT32_MAX;
+    const uint32_t now = m->asked & may;
     uint32_t bits = 0;
     for (int o = 0; o < TD_ORDER_COUNT; o++)
         if (now & ORDER_BIT(o)) bits |= TD_EVENT_BIT(events[o]);

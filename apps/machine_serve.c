@@ -193,14 +193,16 @@ static td_status execute(machine *m, td_error *error)
     s.task = &setup;
     m->unanswered |= UINT32_C(1) << TD_ORDER_EXECUTE;
     m->in_session = true;
+    m->longest_work_s = 0;
     audit_line(&m->audit, "execute", json_pack("{s:s, s:f}", "task", m->task_hash, "time_s", m->state.time_s),
                "'%s', %d steps", m->task->name, m->task->step_count);
     const td_status status = task_run_in(&run, &s, &w, NULL, error);
     m->in_session = false;
     keep_reports(m, &run);
     audit_line(&m->audit, "executed",
-               json_pack("{s:f, s:i, s:I, s:I}", "took_s", run.time_s, "steps_done", run.steps_done,
-                         "periods", (json_int_t)m->ticks, "late_periods", (json_int_t)m->misses),
+               json_pack("{s:f, s:i, s:I, s:I, s:f}", "took_s", run.time_s, "steps_done", run.steps_done,
+                         "periods", (json_int_t)m->ticks, "late_periods", (json_int_t)m->misses,
+                         "longest_work_s", m->longest_work_s),
                "%s", td_phase_text(m->logic.phase));
     task_run_free(&run);
     td_dig_plan_free(&w.made);
