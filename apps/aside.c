@@ -2,6 +2,7 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <sched.h>
 #include <signal.h>
 #include <stdlib.h>
 #include <string.h>
@@ -23,6 +24,8 @@ static void work_there(int to, bool (*work)(void *user, FILE *out), void *user, 
 {
     signal(SIGINT, SIG_IGN); /* the parent decides */
     signal(SIGTERM, SIG_DFL);
+    const struct sched_param others = {0};
+    (void)sched_setscheduler(0, SCHED_OTHER, &others); /* what is aside is not in time, whoever began it */
     if (behind) (void)setpriority(PRIO_PROCESS, 0, getpriority(PRIO_PROCESS, 0) + behind);
     for (int fd = 3; fd < MOST_FILES; fd++)
         if (fd != to) close(fd);
