@@ -162,8 +162,28 @@ static td_status drive(session *x, td_error *error)
 
 /* ---- a period ---- */
 
+static td_status look_outside(session *x, uint32_t *events, td_error *error)
+{
+    const task_world *w = x->world;
+    if (!w || !w->outside) return TD_OK;
+    task_outside o = {.state = &x->state,
+                      .phase = x->logic.phase,
+                      .fault = x->logic.fault,
+                      .step = x->step,
+                      .steps = x->steps,
+                      .last = &x->out};
+    TD_TRY(w->outside(w->user, &o, error));
+    x->links_open = o.links_open;
+    for (td_event e = 0; e < TD_EVENT_COUNT; e++) {
+        const task_input input = {.event = e, .joint = -1};
+        if (o.events & TD_EVENT_BIT(e)) TD_TRY(hand_in(x, &input, events, error));
+    }
+    return TD_OK;
+}
+
 static td_status take_inputs(session *x, uint32_t *events, td_error *error)
 {
+    TD_TRY(look_outside(x, events, error));
     while (x->next_input < x->input->count && x->input->item[x->next_input].period <= x->period)
         TD_TRY(hand_in(x, x->input->item + x->next_input++, events, error));
     if (!x->live) return TD_OK;
@@ -239,6 +259,7 @@ static bool is_over(const session *x)
     const bool rested = (double)(x->period - x->phase_since) * x->s->period_s >= REST_S;
     if (phase == TD_PHASE_IDLE) return rested;
     if (is_working(x) || (x->live && live_attended(x->live))) return false;
+    if (x->world && x->world->outside && phase == TD_PHASE_EXECUTION_PAUSED) return false;
     return phase == TD_PHASE_SIMULATED || rested;
 }
 

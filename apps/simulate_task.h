@@ -127,6 +127,17 @@ struct live;
 td_status task_run_session(task_run *run, const scenario *s, td_machine_base base, const task_inputs *inputs,
                            struct live *live, const td_progress *progress, td_error *error);
 
+/* A period of a session in a world that others take part in: what it shows, and what comes of them. */
+typedef struct task_outside {
+    const td_plant_state *state; /* as it reads */
+    td_phase phase;
+    td_fault fault;
+    int step, steps;
+    const td_behaviour_outputs *last; /* of the reaction before */
+    uint32_t events;                  /* out: TD_EVENT_BIT of orders */
+    bool links_open;                  /* out */
+} task_outside;
+
 /* Where a session happens when it is one of several: of the machine that simulates ahead, and of the one that
  * executes. */
 struct td_dig_plan;
@@ -141,6 +152,9 @@ typedef struct task_world {
     struct td_dig_plan *made;         /* and leaves its plan here, to be freed */
     /* Looks at each sample while executing; *deviates: the machine is stopped, `why` is told. May be NULL. */
     void (*watch)(void *user, const task_sample *sample, bool *deviates, char *why, size_t size);
+    /* Once a period, before the behaviour reacts; waits for the period's time where time is real. NULL: there
+     * is nobody else. */
+    td_status (*outside)(void *user, task_outside *o, td_error *error);
     void *user;
 } task_world;
 /* The scenario's task in that world. A trench is planned once: what still stands is for the next look. */

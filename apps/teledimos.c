@@ -16,6 +16,7 @@ static const struct {
     {"compare", "compare two rigs: difference over the images, with its significance"},
     {"hand-eye", "where the cameras sit on a robot, with how far to trust it"},
     {"vehicle", "where the cameras sit on a machine, and what that is worth at the bucket's tip"},
+    {"machine", "the simulated machine as a process of its own, and orders to it"},
     {"match", "points of a stereo pair in metres, guided or automatic"},
     {"reconstruct", "a dataset's stereo pairs into an elevation map"},
     {"measure", "cut and fill between two maps with their error, profiles, slopes"},
