@@ -3,8 +3,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "core/text_internal.h"
-
 enum { OP_MESSAGE = 1, OP_TIME = 2, OP_RESPONSE = 3, OP_CALL = 2 };
 
 static const char *const names[] = {"subscribe",
@@ -99,7 +97,6 @@ static td_status read_text(panel_request *r, const json_t *root, td_error *error
     static const char *const others[] = {"advertise", "unadvertise", "subscribeConnectionGraph",
                                          "unsubscribeConnectionGraph", "fetchAsset"};
     const char *op = json_string_value(json_object_get(root, "op"));
-    char shown[TD_SHOWN_SIZE];
     if (!op) return td_fail(error, TD_ERROR_FORMAT, "a message without 'op'");
     for (size_t i = 0; i < sizeof others / sizeof *others; i++)
         if (strcmp(op, others[i]) == 0)
@@ -110,7 +107,8 @@ static td_status read_text(panel_request *r, const json_t *root, td_error *error
     r->op = (panel_op)found;
     if (found <= PANEL_UNSUBSCRIBE) return read_subscriptions(r, root, error);
     if (found < PANEL_CALL) return read_parameters(r, root, error);
-    return td_fail(error, TD_ERROR_FORMAT, "'%s' is no operation of the protocol", td_text_shown(shown, op));
+    const size_t plain = strspn(op, "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ");
+    return td_fail(error, TD_ERROR_FORMAT, "'%.40s' is no operation of the protocol", op[plain] ? "…" : op);
 }
 
 static td_status parse_text(panel_request *r, const void *bytes, size_t size, td_error *error)

@@ -21,7 +21,8 @@
 #include "core/status.h"
 
 /* In the order we prefer them; they say the same of what is used here. */
-#define PANEL_SUBPROTOCOLS "foxglove.sdk.v1", "foxglove.websocket.v1"
+#define PANEL_PROTOCOL_SDK "foxglove.sdk.v1"
+#define PANEL_PROTOCOL_WEBSOCKET "foxglove.websocket.v1"
 
 enum {
     PANEL_MAX_REQUEST = 1 << 16, /* bytes of one message from a client */
