@@ -40,7 +40,7 @@ typedef struct connection {
     unsigned char *in; /* of a message that is not whole yet */
     size_t in_size;
     double in_since_s, heard_s, moved_s, allowed, allowed_at_s;
-    bool in_binary, in_open;
+    bool in_binary, in_open, ping;
 } connection;
 
 struct panel_server {
@@ -103,7 +103,8 @@ static const char session_schema[] =
     "{\"type\":\"object\",\"title\":\"teledimos.Session\",\"properties\":{\"phase\":{\"type\":\"string\"},"
     "\"step\":{\"type\":\"integer\"},\"steps\":{\"type\":\"integer\"},\"motion\":{\"type\":\"integer\"},"
     "\"share\":{\"type\":\"number\"},\"load_kg\":{\"type\":\"number\"},\"contact_n\":{\"type\":\"number\"},"
-    "\"press_n\":{\"type\":[\"number\",\"null\"]},\"offers\":{\"type\":\"array\",\"items\":{\"type\":\"string\"}},"
+    "\"press_n\":{\"type\":[\"number\",\"null\"]},\"offers\":{\"type\":\"array\",\"items\":{\"type\":"
+    "\"string\"}},"
     "\"operator\":{\"type\":\"integer\"}}}";
 static const char diagnostics_schema[] =
     "{\"type\":\"object\",\"title\":\"teledimos.Diagnostics\",\"properties\":{\"ticks\":{\"type\":"
@@ -307,10 +308,20 @@ static void give_up(panel_server *s, connection *c, const char *why)
     lws_set_timeout(c->wsi, PENDING_TIMEOUT_USER_REASON_BASE, LWS_TO_KILL_ASYNC);
 }
 
+/* A ping is due; not in the middle of a message. */
+static int send_ping(panel_server *s, connection *c)
+{
+    if (!c->ping || c->client.box.frame || c->client.box.reply) return 0;
+    c->ping = false;
+    s->piece[LWS_PRE] = '?'; /* libwebsockets does not tell of an answer that is empty */
+    return lws_write(c->wsi, s->piece + LWS_PRE, 1, LWS_WRITE_PING) < 1 ? -1 : 0;
+}
+
 static int send_some(panel_server *s, connection *c)
 {
     bool first, last, binary;
     if (c->client.why[0]) return close_now(c);
+    if (send_ping(s, c) != 0) return -1;
     for (int i = 0; i < AT_ONCE && !lws_send_pipe_choked(c->wsi); i++) {
         unsigned char *bytes = s->piece + LWS_PRE;
         const size_t size = panel_outbox_give(&c->client.box, &s->hub, bytes, PIECE, &first, &last, &binary);
@@ -319,7 +330,7 @@ static int send_some(panel_server *s, connection *c)
         if (lws_write(c->wsi, bytes, size, (enum lws_write_protocol)flags) < (int)size) return -1;
         c->moved_s = terminal_now_s();
     }
-    if (panel_outbox_has(&c->client.box, &s->hub)) lws_callback_on_writable(c->wsi);
+    if (c->ping || panel_outbox_has(&c->client.box, &s->hub)) lws_callback_on_writable(c->wsi);
     return 0;
 }
 
@@ -408,6 +419,8 @@ static void each_second(lws_sorted_usec_list_t *timer)
             panel_desk_refuse(s->desk, &c->client, "a message", "too slow: not whole after 5 s");
             give_up(s, c, "too slow: a message was not whole after 5 s");
         }
+        c->ping = true;
+        lws_callback_on_writable(c->wsi);
     }
     if (now - s->flushed_s > FLUSH_S && !s->recording_failed) {
         s->flushed_s = now;
@@ -514,7 +527,6 @@ static td_status listen_on(panel_server *s, td_error *error)
         {PANEL_PROTOCOL_WEBSOCKET, on_socket, sizeof(connection), 4096, 0, NULL, 0},
         {NULL, NULL, 0, 0, 0, NULL, 0},
     };
-    static const lws_retry_bo_t pings = {.secs_since_valid_ping = 1, .secs_since_valid_hangup = 60};
     const bool everywhere = strcmp(s->options.host, "0.0.0.0") == 0;
     struct lws_context_creation_info info = {0};
     info.port = s->options.port;
@@ -527,7 +539,6 @@ static td_status listen_on(panel_server *s, td_error *error)
     info.keepalive_timeout = 5;
     info.max_http_header_pool = 64;
     info.fd_limit_per_thread = (unsigned)s->options.most_clients + 64;
-    info.retry_and_idle_policy = &pings;
     info.options = LWS_SERVER_OPTION_EXPLICIT_VHOSTS | LWS_SERVER_OPTION_DISABLE_IPV6 |
                    LWS_SERVER_OPTION_FAIL_UPON_UNABLE_TO_BIND;
     if (s->options.certificate) info.options |= LWS_SERVER_OPTION_DO_SSL_GLOBAL_INIT;
