@@ -71,7 +71,7 @@ static cli_command command = {
         "SIGINT and SIGTERM stop the machine and end the recording. teledimos simulate SCENARIO --replay "
         "DIR/recording.mcap does the session again, unless parameters were changed. On a busy machine "
         "real-time priority keeps the ticks (chrt -f 10 teledimos panel …).\n\n"
-        "Exit status: 0 done, 1 failed, 2 wrong usage.",
+        "Exit status: 0 done, 1 failed, 2 wrong usage, 3 the simulation broke off.",
     .examples = "  teledimos panel datasets/zx200/paper.yaml -o panel\n"
                 "  teledimos panel datasets/zx200/paper.yaml -o panel --origin https://app.foxglove.dev\n"
                 "  teledimos panel datasets/zx200/dig.yaml -o panel --port 0 --for 60\n",
@@ -267,8 +267,9 @@ static td_status serve(panel *p, job *j)
             td_log_write(&j->log, TD_LOG_WARNING, "panel",
                          "without TLS: the token and all orders can be read and changed on their way");
         status = lead(p, j);
-        if (status == TD_OK)
-            status = panel_server_finish(&server, &p->counts, p->run.input.end, p->run.time_s, &j->error);
+        const td_status finished = panel_server_finish(&server, &p->counts, p->run.input.end, p->run.time_s,
+                                                       status == TD_OK ? &j->error : NULL);
+        if (status == TD_OK) status = finished;
     }
     panel_server_free(&server);
     p->dropped = atomic_load(&p->link.dropped);
@@ -293,7 +294,11 @@ int main(int argc, char **argv)
     if (code >= 0) return code;
     panel *p = calloc(1, sizeof *p);
     td_status status = p ? run(p, &j) : td_fail(&j.error, TD_ERROR_MEMORY, "out of memory");
-    code = job_end(&j, status, false);
+    const bool broke = p && p->run.phase == TD_PHASE_FAILED;
+    if (status == TD_OK && broke)
+        td_log_write(&j.log, TD_LOG_WARNING, "panel", "the session broke off: %s",
+                     td_fault_text(p->run.fault));
+    code = job_end(&j, status, broke);
     if (p) {
         scenario_free(&p->scenario);
         task_run_free(&p->run);

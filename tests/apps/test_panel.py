@@ -416,15 +416,15 @@ def test_watchers(folder):
         memory.append(panel.memory_kib())
         after = misses(observer)
         ticks = after[1] - before[1]
-        got = sorted(watcher.counts.get("/tf", 0) for watcher in readers)
+        got = sorted(watcher.counts["/tf"] / ((watcher.latest["/tf"][0] - watcher.first["/tf"]) / 50e6 + 1) for watcher in readers)
         gaps = sorted(watcher.gap for watcher in readers)
         without, within = alone[0] - first[0], after[0] - before[0]
         share = without / max(1, alone[1] - first[1])
-        print(f"{len(readers)} of {count} watchers read: {got[0]} to {got[-1]} transforms of {ticks} periods; longest silence "
+        print(f"{len(readers)} of {count} watchers read: {got[0]:.3f} to {got[-1]:.3f} of the periods' transforms; longest silence "
               f"{1e3 * gaps[-1]:.0f} ms (median {1e3 * gaps[len(gaps) // 2]:.0f}); missed {within} of {ticks} deadlines, without "
               f"watchers {without} of {alone[1] - first[1]}; memory {memory[0]}, {memory[1]}, {memory[2]} KiB", flush=True)
         check(all(watcher.closed is None for watcher in readers), "all who read are still there")
-        check(got[0] >= 0.9 * ticks, "and each has nine of ten periods at the least")
+        check(got[0] >= 0.95 and readers[0].counts["/tf"] > 15 * seconds, f"and have what happened: {got[0]:.3f} at the least")
         # Rare by themselves, and of a busy machine: 3 sigma of a count, and one tick in twenty.
         bound = share * ticks + 3 * math.sqrt(share * ticks + 1) + 0.05 * ticks
         check(within <= bound, f"deadlines missed: {within} of {ticks}, bound {bound:.0f}")

@@ -29,7 +29,7 @@ class Client:
         self.message_op = 0
         self.closed = None  # (code, reason); None: open
         self.channels, self.services, self.subscribed = {}, {}, {}
-        self.latest, self.counts, self.texts, self.answers, self.parameters = {}, {}, [], {}, []
+        self.latest, self.first, self.counts, self.texts, self.answers, self.parameters = {}, {}, {}, [], {}, []
         self.info, self.time_ns, self.call_id = None, None, 0
         lines = [f"GET {path} HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket", "Connection: Upgrade",
                  "Sec-WebSocket-Version: 13", "Sec-WebSocket-Key: " + base64.b64encode(os.urandom(16)).decode()]
@@ -171,6 +171,7 @@ class Client:
             topic = self.subscribed[number]
             self.counts[topic] = self.counts.get(topic, 0) + 1
             self.latest[topic] = (time_ns, message[13:])
+            self.first.setdefault(topic, time_ns)
         elif message[0] == 2:
             self.time_ns = struct.unpack_from("<Q", message, 1)[0]
         elif message[0] == 3:
