@@ -11,6 +11,7 @@ transforms; deadlines are not missed more often than without (bound below), memo
 Blind to: what Foxglove's own program draws; networks with loss; processors with many other things to do (the bound allows
 for a busy machine)."""
 
+import base64
 import json
 import math
 import os
@@ -24,7 +25,9 @@ import subprocess
 import tempfile
 import time
 
-from common import FULL, PROGRAM, SANITIZED, SOURCE, check, fault_of_sentence, finish, run
+import numpy
+
+from common import FULL, PROGRAM, SANITIZED, SOURCE, check, fault_of_sentence, finish, run, skip
 from websocket import PROTOCOLS, Client, Refused
 
 ROBOT = os.path.join(SOURCE, "datasets/zx200/zx200.urdf")
@@ -228,6 +231,43 @@ def test_replay(folder):
         far = max((abs(value - float(rows[ns][f"{name}_rad"])) for ns, row in seen.items() for name, value in row.items()
                    if ns in rows), default=math.inf)
         check(len(seen) > 40 and far < 1e-9, f"{len(seen)} live samples are those of the session done again, within {far:.1e} rad")
+
+
+def test_ground(folder):
+    """A map, in pieces: as it was given, and again in the recording's order."""
+    try:
+        from osgeo import gdal
+    except ImportError:
+        skip("the readers of GDAL are not installed (python3-gdal)")
+        return
+    side, cell = 200, 0.06
+    gdal.UseExceptions()
+    site = os.path.join(folder, "site.tif")
+    file = gdal.GetDriverByName("GTiff").Create(site, side, side, 1, gdal.GDT_Float32)
+    file.SetGeoTransform([-4 - cell / 2, cell, 0, 6 + cell / 2, 0, -cell])
+    height = (0.02 * numpy.arange(side)[None, :] * cell + numpy.zeros((side, 1))).astype("float32")
+    file.GetRasterBand(1).WriteArray(height)
+    del file
+    scenario = (f"teledimos: scenario 1\nname: ground\nrobot: {ROBOT}\nstart: {{joints: {{swing: 0, boom: -0.7, arm: 1.3, "
+                f"bucket: 0.6}}}}\nduration_s: 20\nlog_s: 0.05\nground: {{map: {site}}}\n"
+                "live: {on_miss: catch-up, tolerance_s: 0.02}\n"
+                "task: {name: t, frame: site, steps: [{drive: {distance_m: 0.5}}]}\n")
+    with Panel(folder, scenario=scenario) as panel:
+        client = panel.client()
+        client.subscribe("/terrain", "/session", "/tf")
+        check(client.until(lambda: client.phase() == "ready" and "/terrain" in client.latest), "the ground is seen")
+        grid = client.newest("/terrain")
+        cells = numpy.frombuffer(base64.b64decode(grid["data"]), "<f4").reshape(-1, grid["column_count"], 2)
+        check(cells.shape[:2] == (side, side) and numpy.array_equal(cells[:, :, 0], height[::-1]),
+              f"in pieces, as it was given: {cells.shape}, {len(client.latest['/terrain'][1])} bytes")
+        client.order("TakeControl")
+        before = client.newest("/tf")["transforms"][0]["translation"]["x"]
+        client.order("StartSim")
+        client.until(lambda: client.newest("/tf")["transforms"][0]["translation"]["x"] > before + 0.05, 8)
+        after = client.newest("/tf")["transforms"][0]["translation"]["x"]
+        check(after > before + 0.05, f"and the machine drives on it: {before:.3f} to {after:.3f} m")
+        code, _, errors = panel.end()
+        check(code == 0, f"it ends: {code} {errors.strip()}")
 
 
 # ---- what must not come in ----
@@ -439,7 +479,7 @@ def test_watchers(folder):
 
 
 def main():
-    for test in (test_session, test_replay, test_door, test_refusals, test_watchers):
+    for test in (test_session, test_replay, test_ground, test_door, test_refusals, test_watchers):
         begun = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
             test(folder)
