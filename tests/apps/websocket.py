@@ -30,6 +30,7 @@ class Client:
         self.closed = None  # (code, reason); None: open
         self.channels, self.services, self.subscribed = {}, {}, {}
         self.latest, self.first, self.counts, self.texts, self.answers, self.parameters = {}, {}, {}, [], {}, []
+        self.kept = {}  # topic: all of its messages, of topics put in here
         self.info, self.time_ns, self.call_id = None, None, 0
         lines = [f"GET {path} HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket", "Connection: Upgrade",
                  "Sec-WebSocket-Version: 13", "Sec-WebSocket-Key: " + base64.b64encode(os.urandom(16)).decode()]
@@ -172,6 +173,8 @@ class Client:
             self.counts[topic] = self.counts.get(topic, 0) + 1
             self.latest[topic] = (time_ns, message[13:])
             self.first.setdefault(topic, time_ns)
+            if topic in self.kept:
+                self.kept[topic].append(self.latest[topic])
         elif message[0] == 2:
             self.time_ns = struct.unpack_from("<Q", message, 1)[0]
         elif message[0] == 3:
