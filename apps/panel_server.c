@@ -4,6 +4,7 @@
  * more; so one that does not read costs a piece and its socket's buffer, and is closed after a while. */
 #include <libwebsockets.h>
 #include <pthread.h>
+#include <sched.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -505,7 +506,10 @@ static int on_http(struct lws *wsi, enum lws_callback_reasons reason, void *user
 static void *serve(void *user)
 {
     panel_server *s = user;
-    (void)setpriority(PRIO_PROCESS, 0, 5); /* of this thread: the session's goes first */
+    const struct sched_param usual = {0};
+    /* Of this thread, whatever the program was given: the session's goes first. */
+    (void)pthread_setschedparam(pthread_self(), SCHED_OTHER, &usual);
+    (void)setpriority(PRIO_PROCESS, 0, 5);
     lws_sul_schedule(s->context, 0, &s->second, each_second, LWS_US_PER_SEC);
     lws_sul_schedule(s->context, 0, &s->half, each_half_second, 1);
     while (!atomic_load(&s->stop) && lws_service(s->context, 0) >= 0) {
