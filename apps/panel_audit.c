@@ -55,7 +55,10 @@ bool panel_audit_write(panel_audit *audit, const char *what, json_t *fields)
     json_decref(line);
     const size_t size = text ? strlen(text) : 0;
     if (text) text[size] = '\n'; /* in place of its 0: one write, whole */
-    const bool written = text && write(audit->file, text, size + 1) == (ssize_t)size + 1;
+    if (text && audit->torn && write(audit->file, "\n", 1) == 1) audit->torn = false;
+    const ssize_t put = text && !audit->torn ? write(audit->file, text, size + 1) : -1;
+    const bool written = put == (ssize_t)size + 1;
+    if (put > 0 && !written) audit->torn = true;
     free(text);
     audit->lines += written;
     return written;

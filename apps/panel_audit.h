@@ -12,6 +12,7 @@
 typedef struct panel_audit {
     int file;
     uint64_t lines; /* written, of this run: each carries its number */
+    bool torn;      /* the last one is not whole: the disk was full */
     /* Of strangers, who could fill the disk: so many lines a second. */
     double allowed, allowed_at_s;
     uint64_t left_out;

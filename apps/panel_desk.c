@@ -265,7 +265,9 @@ static const char *pass(panel_desk *d, const panel_client *client, const pending
     order->order = ++d->orders;
     json_object_set_new(fields, "order", json_integer((json_int_t)order->order));
     const char *why = d->pending_count == PENDING ? "too many orders wait for their answers" : NULL;
-    if (!why && !panel_audit_write(d->o.audit, "order", json_incref(fields)))
+    const bool stops = order->event == TD_EVENT_USER_STOP || order->event == TD_EVENT_ABORT ||
+                       order->event == TD_EVENT_PAUSE;
+    if (!why && !panel_audit_write(d->o.audit, "order", json_incref(fields)) && !stops)
         why = "the audit log cannot be written";
     json_decref(fields);
     if (!why && !panel_ring_offer(&d->o.link->orders, order)) why = "the session takes no orders now";

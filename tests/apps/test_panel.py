@@ -17,6 +17,7 @@ import json
 import math
 import os
 import re
+import resource
 import selectors
 import signal
 import socket
@@ -44,7 +45,7 @@ SLOW = SANITIZED or "tsan" in PROGRAM
 class Panel:
     """The program, running; as a context it is killed at its end."""
 
-    def __init__(self, folder, *options, scenario=SCENARIO, port=0):
+    def __init__(self, folder, *options, scenario=SCENARIO, port=0, before=None):
         self.out = os.path.join(folder, "out")
         path = os.path.join(folder, "scenario.yaml")
         with open(path, "w") as file:
@@ -52,7 +53,7 @@ class Panel:
         self.scenario = path
         where = () if "--listen" in options else ("--port", str(port))
         self.process = subprocess.Popen([PROGRAM, "panel", path, "-o", self.out, *where, *options],
-                                        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+                                        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=before)
         line = self.process.stderr.readline()
         found = re.search(r":(\d+)/", line)
         if not found:
@@ -424,6 +425,29 @@ def test_refusals(folder):
         check(os.path.exists(os.path.join(panel.out, "recording.mcap.part")), "and what was recorded is kept")
 
 
+def test_full_disk(folder):
+    """Files of at most 4 KiB: what cannot be written into the audit log is not done, but for what stops the machine."""
+    with Panel(folder, before=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))) as panel:
+        client = panel.client()
+        client.subscribe("/session")
+        client.until(lambda: client.phase() == "ready")
+        client.order("TakeControl")
+        for _ in range(30):
+            ok, why = client.order("Resume")  # refused by the behaviour, as long as it is passed on
+            if "audit" in why:
+                break
+        check(not ok and "audit log cannot be written" in why, f"an order that cannot be written: {why}")
+        ok, why = client.order("StartSim")
+        check(not ok and "audit" in why, f"StartSim: {why}")
+        check(client.order("UserStop")[0] and client.until(lambda: client.phase() == "nothing is prepared", 3), "UserStop is obeyed")
+        client.watch(0.2)
+        with open(os.path.join(panel.out, "audit.jsonl")) as file:
+            lines = file.read().split("\n")
+        check(all(json.loads(line) for line in lines[:-1]), "the log's lines are whole but for the last")
+        code, _, errors = panel.end()
+        check(code == 1 and "recording.mcap" in errors, f"the recording is not whole: {code} {errors.strip()}")
+
+
 # ---- many watchers ----
 
 def misses(client):
@@ -505,7 +529,8 @@ def in_its_folder(test):
 def main():
     """All at once, for they mostly wait; but the one that judges deadlines is alone."""
     with concurrent.futures.ThreadPoolExecutor() as pool:
-        for done in [pool.submit(in_its_folder, test) for test in (test_session, test_replay, test_ground, test_door, test_refusals)]:
+        for done in [pool.submit(in_its_folder, test) for test in (test_session, test_replay, test_ground, test_door, test_refusals,
+                                                               test_full_disk)]:
             done.result()
     in_its_folder(test_watchers)
     finish()
