@@ -13,26 +13,19 @@
 #include <sys/socket.h>
 
 #include "apps/panel_door.h"
-#include "apps/panel_internal.h"
-#include "apps/simulate_task_message.h"
-#include "core/document.h"
+#include "apps/panel_feed.h"
 #include "core/file.h"
 
 enum {
     PIECE = 1 << 15, /* bytes */
     AT_ONCE = 32,    /* messages to a client before the next one's turn */
     SOCKET_BUFFER = 1 << 17,
-    EVENTS_KEPT = 512,
-    SESSION = TASK_CHANNELS, /* our own channels, after the recording's */
-    DIAGNOSTICS,
-    CHANNELS
 };
 
 static const double SILENT_S = 10, OPERATOR_SILENT_S = 3; /* no answer to pings */
 static const double STUCK_S = 10;                         /* takes nothing of what it is sent */
 static const double SLOW_S = 5;                           /* for one message */
 static const double MESSAGES_S = 50, MESSAGES_AT_ONCE = 100;
-static const double FLUSH_S = 5; /* of the recording */
 
 typedef struct connection {
     panel_client client;
@@ -45,25 +38,12 @@ typedef struct connection {
 } connection;
 
 struct panel_server {
-    panel_link *link;
-    const scenario *scenario;
+    panel_feed feed;
     panel_options options;
     panel_door door;
-    panel_hub hub;
-    int index[CHANNELS]; /* in the hub, and less one the number as advertised; -1: not there */
-    td_mcap_channel about[CHANNELS];
-    size_t about_count;
     panel_audit audit;
     panel_counts counts;
     panel_desk *desk;
-    panel_sample last;
-    td_log log;
-    /* The recording. */
-    td_mcap_writer *writer;
-    int recorded[TASK_CHANNELS];
-    task_sink sink;
-    double flushed_s;
-    bool recording_failed;
     /* libwebsockets. */
     struct lws_context *context;
     struct lws_vhost *host;
@@ -77,123 +57,10 @@ struct panel_server {
     unsigned char piece[LWS_PRE + PIECE];
 };
 
-/* ---- what goes out ---- */
-
-static td_status publish(void *user, task_channel channel, uint64_t ns, char *json, size_t size,
-                         td_error *error)
-{
-    panel_server *s = user;
-    td_error why = {0};
-    if ((int)channel < SESSION && !s->recording_failed &&
-        td_mcap_write(s->writer, s->recorded[channel], ns, json, size, &why) != TD_OK) {
-        s->recording_failed = true;
-        td_log_write(&s->log, TD_LOG_WARNING, "panel", "the recording ends here: %s", why.message);
-    }
-    if (panel_hub_publish(&s->hub, s->index[channel], ns, json, size)) return TD_OK;
-    return td_fail(error, TD_ERROR_MEMORY, "no memory for a message");
-}
-
-static void publish_json(panel_server *s, int channel, json_t *o)
-{
-    char *text = o ? json_dumps(o, JSON_COMPACT | JSON_PRESERVE_ORDER | JSON_REAL_PRECISION(9)) : NULL;
-    json_decref(o);
-    if (text) (void)publish(s, (task_channel)channel, s->hub.time_ns, text, strlen(text), NULL);
-}
-
-static const char session_schema[] =
-    "{\"type\":\"object\",\"title\":\"teledimos.Session\",\"properties\":{\"phase\":{\"type\":\"string\"},"
-    "\"step\":{\"type\":\"integer\"},\"steps\":{\"type\":\"integer\"},\"motion\":{\"type\":\"integer\"},"
-    "\"share\":{\"type\":\"number\"},\"load_kg\":{\"type\":\"number\"},\"contact_n\":{\"type\":\"number\"},"
-    "\"press_n\":{\"type\":[\"number\",\"null\"]},\"offers\":{\"type\":\"array\",\"items\":{\"type\":"
-    "\"string\"}},"
-    "\"operator\":{\"type\":\"integer\"}}}";
-static const char diagnostics_schema[] =
-    "{\"type\":\"object\",\"title\":\"teledimos.Diagnostics\",\"properties\":{\"ticks\":{\"type\":"
-    "\"integer\"}"
-    ",\"misses\":{\"type\":\"integer\"},\"late_p99_s\":{\"type\":\"number\"},\"late_max_s\":{\"type\":"
-    "\"number\"},\"real_time_factor\":{\"type\":\"number\"},\"clients\":{\"type\":\"integer\"},\"operator\":{"
-    "\"type\":\"integer\"},\"samples_dropped\":{\"type\":\"integer\"},\"orders\":{\"type\":\"integer\"},"
-    "\"refused\":{\"type\":\"integer\"}}}";
-
-static void publish_session(panel_server *s, const panel_sample *p)
-{
-    const task_sample *a = &p->sample;
-    json_t *offers = json_array();
-    for (int e = 0; e < TD_EVENT_COUNT; e++)
-        if (p->offers & TD_EVENT_BIT(e))
-            json_array_append_new(offers, json_string(td_event_text((td_event)e)));
-    publish_json(s, SESSION,
-                 json_pack("{s:s, s:i, s:i, s:i, s:o, s:o, s:o, s:o, s:o, s:I}", "phase",
-                           td_phase_text(a->phase), "step", a->step + 1, "steps", p->steps, "motion",
-                           a->motion + 1, "share", td_json_real(a->share), "load_kg",
-                           td_json_real(a->load_kg), "contact_n", td_json_real(a->contact_n), "press_n",
-                           td_json_real(a->press_n), "offers", offers, "operator",
-                           (json_int_t)panel_desk_operator(s->desk)));
-}
-
-static void publish_diagnostics(panel_server *s)
-{
-    const panel_sample *p = &s->last;
-    publish_json(s, DIAGNOSTICS,
-                 json_pack("{s:I, s:I, s:f, s:f, s:f, s:I, s:I, s:I, s:I, s:I}", "ticks",
-                           (json_int_t)p->ticks, "misses", (json_int_t)p->misses, "late_p99_s", p->late_p99_s,
-                           "late_max_s", p->late_max_s, "real_time_factor", p->speed, "clients",
-                           (json_int_t)s->counts.clients, "operator",
-                           (json_int_t)panel_desk_operator(s->desk), "samples_dropped",
-                           (json_int_t)atomic_load(&s->link->dropped), "orders", (json_int_t)s->counts.orders,
-                           "refused", (json_int_t)s->counts.refused));
-}
-
 static void serve_all(panel_server *s)
 {
     for (connection *c = s->first; c; c = c->next)
-        if (panel_outbox_has(&c->client.box, &s->hub)) lws_callback_on_writable(c->wsi);
-}
-
-/* ---- from the session ---- */
-
-static td_status take_news(panel_server *s, const panel_news *n, td_error *error)
-{
-    const td_robot *robot = s->scenario->robot;
-    switch (n->kind) {
-    case PANEL_NOTE:
-        return task_message_note(&s->sink, robot, &n->note, error);
-    case PANEL_GROUND:
-        return task_message_ground(&s->sink, &n->ground, error);
-    case PANEL_CHANGE:
-        return task_message_input(&s->sink, robot, n->period, n->time_s, "parameter", "a parameter", -1, 0,
-                                  error);
-    default:
-        panel_desk_answer(s->desk, n);
-        return TD_OK;
-    }
-}
-
-static td_status take_sample(panel_server *s, const panel_sample *p, td_error *error)
-{
-    uint64_t ns = 0;
-    td_mcap_time(&ns, p->sample.time_s);
-    s->last = *p;
-    panel_desk_phase(s->desk, p->sample.phase);
-    panel_hub_clock(&s->hub, ns);
-    publish_session(s, p);
-    return task_message_sample(&s->sink, s->scenario->robot, &p->sample, error);
-}
-
-/* A message that cannot be made is told, and left out. */
-static void tell_fault(panel_server *s, td_status status, const td_error *error)
-{
-    if (status != TD_OK)
-        td_log_write(&s->log, TD_LOG_WARNING, "panel", "a message is left out: %s", error->message);
-}
-
-static void drain(panel_server *s)
-{
-    td_error error = {0};
-    for (panel_news *n; (n = panel_ring_take(&s->link->news)); s->link->news.release(n))
-        tell_fault(s, take_news(s, n, &error), &error);
-    for (panel_sample *p; (p = panel_ring_take(&s->link->samples)); s->link->samples.release(p))
-        tell_fault(s, take_sample(s, p, &error), &error);
+        if (panel_outbox_has(&c->client.box, &s->feed.hub)) lws_callback_on_writable(c->wsi);
 }
 
 /* ---- clients ---- */
@@ -325,13 +192,14 @@ static int send_some(panel_server *s, connection *c)
     if (send_ping(s, c) != 0) return -1;
     for (int i = 0; i < AT_ONCE && !lws_send_pipe_choked(c->wsi); i++) {
         unsigned char *bytes = s->piece + LWS_PRE;
-        const size_t size = panel_outbox_give(&c->client.box, &s->hub, bytes, PIECE, &first, &last, &binary);
+        const size_t size =
+            panel_outbox_give(&c->client.box, &s->feed.hub, bytes, PIECE, &first, &last, &binary);
         if (size == 0) return 0;
         const int flags = lws_write_ws_flags(binary ? LWS_WRITE_BINARY : LWS_WRITE_TEXT, first, last);
         if (lws_write(c->wsi, bytes, size, (enum lws_write_protocol)flags) < (int)size) return -1;
         c->moved_s = terminal_now_s();
     }
-    if (c->ping || panel_outbox_has(&c->client.box, &s->hub)) lws_callback_on_writable(c->wsi);
+    if (c->ping || panel_outbox_has(&c->client.box, &s->feed.hub)) lws_callback_on_writable(c->wsi);
     return 0;
 }
 
@@ -413,7 +281,7 @@ static void each_second(lws_sorted_usec_list_t *timer)
     const double now = terminal_now_s();
     for (connection *c = s->first; c; c = c->next) {
         const bool leads = c->client.number == panel_desk_operator(s->desk);
-        if (!panel_outbox_has(&c->client.box, &s->hub)) c->moved_s = now;
+        if (!panel_outbox_has(&c->client.box, &s->feed.hub)) c->moved_s = now;
         if (now - c->moved_s > STUCK_S) give_up(s, c, "it reads nothing of what it is sent");
         if (now - c->heard_s > (leads ? OPERATOR_SILENT_S : SILENT_S)) give_up(s, c, "it answers no ping");
         if (c->in_open && now - c->in_since_s > SLOW_S) {
@@ -423,17 +291,14 @@ static void each_second(lws_sorted_usec_list_t *timer)
         c->ping = true;
         lws_callback_on_writable(c->wsi);
     }
-    if (now - s->flushed_s > FLUSH_S && !s->recording_failed) {
-        s->flushed_s = now;
-        (void)td_mcap_flush(s->writer, NULL); /* a failure is kept, and told by the next message */
-    }
+    panel_feed_flush(&s->feed, now);
     lws_sul_schedule(s->context, 0, &s->second, each_second, LWS_US_PER_SEC);
 }
 
 static void each_half_second(lws_sorted_usec_list_t *timer)
 {
     panel_server *s = lws_container_of(timer, panel_server, half);
-    publish_diagnostics(s);
+    panel_feed_diagnose(&s->feed);
     serve_all(s);
     lws_sul_schedule(s->context, 0, &s->half, each_half_second, LWS_US_PER_SEC / 2);
 }
@@ -493,7 +358,7 @@ static int on_http(struct lws *wsi, enum lws_callback_reasons reason, void *user
         return send_page(s, wsi);
     case LWS_CALLBACK_EVENT_WAIT_CANCELLED:
         if (!s || !s->started) return 0;
-        drain(s);
+        panel_feed_take(&s->feed);
         serve_all(s);
         return 0;
     default:
@@ -565,58 +430,39 @@ static td_status listen_on(panel_server *s, td_error *error)
     return TD_OK;
 }
 
-static td_status add_channels(panel_server *s, td_error *error)
-{
-    static const td_mcap_channel own[] = {
-        {"/session", "json", "teledimos.Session", "jsonschema", session_schema, sizeof session_schema - 1},
-        {"/diagnostics", "json", "teledimos.Diagnostics", "jsonschema", diagnostics_schema,
-         sizeof diagnostics_schema - 1}};
-    for (int i = 0; i < CHANNELS; i++) {
-        const bool events = i == TASK_LOG || i == TASK_INPUTS;
-        s->index[i] = -1;
-        if (i == TASK_TERRAIN && !s->scenario->map) continue;
-        s->index[i] = panel_hub_add(&s->hub, events ? EVENTS_KEPT : 1);
-        if (s->index[i] < 0) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
-        s->about[s->about_count++] = i < SESSION ? task_channel_about((task_channel)i) : own[i - SESSION];
-    }
-    return TD_OK;
-}
-
 static td_status begin_files(panel_server *s, const char *folder, td_error *error)
 {
     char identity[TD_HASH_HEX_SIZE];
-    TD_TRY(task_identity(identity, s->scenario, error));
+    TD_TRY(task_identity(identity, s->feed.scenario, error));
     TD_TRY(td_folder_make(folder, error));
     char *audit = td_path_join(folder, "audit.jsonl"), *recording = td_path_join(folder, "recording.mcap");
     td_status status = audit && recording ? panel_audit_open(&s->audit, audit, error)
                                           : td_fail(error, TD_ERROR_MEMORY, "no memory for a path");
     if (status == TD_OK && !panel_audit_write(&s->audit, "begin",
-                                              json_pack("{s:s, s:s, s:s}", "scenario", s->scenario->name,
+                                              json_pack("{s:s, s:s, s:s}", "scenario", s->feed.scenario->name,
                                                         "identity", identity, "version", TD_VERSION)))
         status = td_fail(error, TD_ERROR_IO, "%s: cannot be written; is the disk full?", audit);
-    if (status == TD_OK)
-        status = task_recording_begin(&s->writer, s->recorded, recording, s->scenario->map != NULL, error);
+    if (status == TD_OK) status = panel_feed_begin(&s->feed, recording, identity, error);
     free(audit);
     free(recording);
-    s->sink = (task_sink){publish, s};
-    return status == TD_OK ? task_message_begin(&s->sink, s->scenario->robot, identity, error) : status;
+    return status;
 }
 
 static td_status begin_desk(panel_server *s, panel_parameter *list, int count, td_error *error)
 {
-    const panel_desk_options o = {.scenario = s->scenario,
+    const panel_desk_options o = {.scenario = s->feed.scenario,
                                   .parameter = list,
                                   .parameter_count = count,
-                                  .link = s->link,
-                                  .hub = &s->hub,
+                                  .link = s->feed.link,
+                                  .hub = &s->feed.hub,
                                   .audit = &s->audit,
                                   .counts = &s->counts,
-                                  .channel = s->about,
-                                  .channel_count = s->about_count,
+                                  .channel = s->feed.about,
+                                  .channel_count = s->feed.about_count,
                                   .find = find_client,
                                   .each = each_client,
                                   .user = s};
-    s->desk = panel_desk_new(&o);
+    s->desk = s->feed.desk = panel_desk_new(&o);
     return s->desk ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
 }
 
@@ -625,8 +471,8 @@ static td_status start(panel_server *s, td_error *error)
 {
     sigset_t all, before;
     sigfillset(&all);
-    s->link->wake = wake;
-    s->link->user = s;
+    s->feed.link->wake = wake;
+    s->feed.link->user = s;
     s->started = true;
     pthread_sigmask(SIG_SETMASK, &all, &before);
     if (pthread_create(&s->thread, NULL, serve, s) != 0) s->started = false;
@@ -640,19 +486,15 @@ td_status panel_server_new(panel_server **server, panel_link *link, const scenar
 {
     panel_server *s = *server = calloc(1, sizeof *s);
     if (!s) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
-    s->link = link;
-    s->scenario = sc;
+    s->feed = (panel_feed){.link = link, .scenario = sc, .log = log, .counts = &s->counts};
     s->options = *options;
-    s->log = log;
     s->audit.file = -1;
-    s->flushed_s = terminal_now_s();
     atomic_init(&s->stop, false);
     s->door = (panel_door){.local = panel_door_is_local(options->host),
                            .origin = options->origin,
                            .origin_count = options->origin_count};
     if (options->token_file) TD_TRY(panel_door_token(&s->door, options->token_file, error));
     TD_TRY(listen_on(s, error));
-    TD_TRY(add_channels(s, error));
     TD_TRY(begin_files(s, folder, error));
     TD_TRY(begin_desk(s, list, count, error));
     write_page(s);
@@ -681,10 +523,9 @@ void panel_server_free(panel_server **server)
     panel_server *s = *server;
     if (!s) return;
     stop(s);
-    td_mcap_writer_free(&s->writer);
+    panel_feed_free(&s->feed);
     panel_audit_close(&s->audit);
     panel_desk_free(&s->desk);
-    panel_hub_free(&s->hub);
     free(s);
     *server = NULL;
 }
@@ -694,12 +535,9 @@ td_status panel_server_finish(panel_server **server, panel_counts *counts, long 
 {
     panel_server *s = *server;
     stop(s);
-    drain(s);
-    td_status status = task_message_end(&s->sink, period, time_s, error);
+    const td_status status = panel_feed_finish(&s->feed, period, time_s, error);
     (void)panel_audit_write(&s->audit, "end",
                             json_pack("{s:f, s:I}", "time_s", time_s, "period", (json_int_t)period));
-    const td_status finished = td_mcap_finish(&s->writer, status == TD_OK ? error : NULL);
-    if (status == TD_OK) status = finished;
     *counts = s->counts;
     panel_server_free(server);
     return status;
