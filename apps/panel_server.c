@@ -48,6 +48,7 @@ struct panel_server {
     struct lws_context *context;
     struct lws_vhost *host;
     lws_sorted_usec_list_t second, half;
+    double swept_s; /* when `second` last came */
     pthread_t thread;
     bool started;
     atomic_bool stop;
@@ -278,8 +279,11 @@ static int on_socket(struct lws *wsi, enum lws_callback_reasons reason, void *us
 static void each_second(lws_sorted_usec_list_t *timer)
 {
     panel_server *s = lws_container_of(timer, panel_server, second);
-    const double now = terminal_now_s();
+    const double now = terminal_now_s(), late = s->swept_s > 0 ? now - s->swept_s - 1 : 0;
+    s->swept_s = now;
     for (connection *c = s->first; c; c = c->next) {
+        /* What came while this thread had to wait is not read yet. */
+        if (late > 0) c->heard_s += late, c->moved_s += late, c->in_since_s += late;
         const bool leads = c->client.number == panel_desk_operator(s->desk);
         if (!panel_outbox_has(&c->client.box, &s->feed.hub)) c->moved_s = now;
         if (now - c->moved_s > STUCK_S) give_up(s, c, "it reads nothing of what it is sent");

@@ -250,16 +250,16 @@ def test_ground(folder):
                 "live: {on_miss: catch-up, tolerance_s: 0.02}\n"
                 "task: {name: t, frame: site, steps: [{drive: {distance_m: 0.5}}]}\n")
     with Panel(folder, scenario=scenario) as panel:
-        client = panel.client()
+        client, deaf = panel.client(), panel.client(receive_buffer=4096)
+        deaf.subscribe("/terrain")
+        deaf.keep_alive()  # it says that it is there, but reads nothing
+        deaf_since = time.monotonic()
         client.subscribe("/terrain", "/session", "/tf")
         check(client.until(lambda: client.phase() == "ready" and "/terrain" in client.latest), "the ground is seen")
         grid = client.newest("/terrain")
         cells = numpy.frombuffer(base64.b64decode(grid["data"]), "<f4").reshape(-1, grid["column_count"], 2)
         check(cells.shape[:2] == (side, side) and numpy.array_equal(cells[:, :, 0], height[::-1]),
               f"in pieces, as it was given: {cells.shape}, {len(client.latest['/terrain'][1])} bytes")
-        deaf = panel.client(receive_buffer=4096)
-        deaf.subscribe("/terrain")
-        deaf_since = time.monotonic()
         client.order("TakeControl")
         before = client.newest("/tf")["transforms"][0]["translation"]["x"]
         client.order("StartSim")
@@ -267,18 +267,7 @@ def test_ground(folder):
         after = client.newest("/tf")["transforms"][0]["translation"]["x"]
         check(after > before + 0.05, f"and the machine drives on it: {before:.3f} to {after:.3f} m")
 
-        def put_out():
-            if deaf.socket.fileno() >= 0:
-                try:
-                    deaf.send(10, b"?")  # it says that it is there, but reads nothing
-                except OSError:
-                    deaf.close()
-            client.watch(0.3)
-            return logged(panel, "disconnect", client=2, why="it reads nothing")
-
-        gone = False
-        while not gone and time.monotonic() < deaf_since + 20:
-            gone = put_out()
+        gone = client.until(lambda: logged(panel, "disconnect", client=2, why="it reads nothing"), 20)
         waited = time.monotonic() - deaf_since
         check(gone and waited > 8, f"one who takes nothing of the map is put out after {waited:.1f} s")
         check(client.order("UserStop")[0], "while the other leads on")
@@ -346,8 +335,7 @@ def test_door(folder):
 
 def test_refusals(folder):
     with Panel(folder) as panel:
-        operator, other = panel.client(), panel.client()
-        watcher = panel.client()
+        operator, other, watcher = (panel.client().keep_alive() for _ in range(3))
         watcher.subscribe("/tf", "/session")
         watcher.until(lambda: watcher.phase() == "ready")
         operator.order("TakeControl")
@@ -384,7 +372,8 @@ def test_refusals(folder):
         check(logged(panel, "control", client=2, how="lost: UserStop"), "and that is in the log")
         check(operator.order("TakeControl")[0] and operator.order("Prepare")[0], "another takes it up")
         check(watcher.until(lambda: watcher.phase() == "ready", 5) and operator.order("StartSim")[0], "and goes on")
-        operator.order("Abort")
+        check(operator.order("Abort")[0] and watcher.until(lambda: watcher.phase() == "ready", 5), "Abort")
+        watcher.watch(0.1)
         check(operator.order("ReleaseControl") == (True, {"operator": 0}), "and lays it down")
 
         put_out = [

@@ -3,6 +3,7 @@
  * was taken or dropped. Run under ThreadSanitizer it shows that there is no race. Blind to: orders of memory
  * that this processor does not show. */
 #include <pthread.h>
+#include <sched.h>
 
 #include "apps/panel_ring.h"
 #include "tests/check.h"
@@ -88,8 +89,7 @@ static void *put_many(void *user)
     for (uint64_t i = 0; i < MANY; i++) {
         thing *t = make(i, &r->freed);
         if (r->offers)
-            while (!panel_ring_offer(&r->ring, t)) {
-            }
+            while (!panel_ring_offer(&r->ring, t)) sched_yield();
         else
             r->dropped += panel_ring_put(&r->ring, t);
     }
@@ -108,7 +108,10 @@ static void race_for(bool offers)
         const bool done = atomic_load(&r.done);
         thing *t = panel_ring_take(&r.ring);
         if (!t && done) break;
-        if (!t) continue;
+        if (!t) {
+            sched_yield();
+            continue;
+        }
         if (t->value < next || t->head.number != t->value) fail_msg("%lu after %lu", t->value, next);
         if (offers) assert_int_equal(t->value, next);
         next = t->value + 1;

@@ -6,6 +6,7 @@ import os
 import socket
 import ssl
 import struct
+import threading
 import time
 
 PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
@@ -17,6 +18,7 @@ class Refused(Exception):
 
 class Client:
     def __init__(self, port, protocol=PROTOCOLS[0], path="/", headers=(), context=None, receive_buffer=None):
+        self.lock = threading.Lock()
         self.socket = socket.socket()
         if receive_buffer:
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
@@ -70,7 +72,22 @@ class Client:
         return head + mask + body
 
     def send(self, op, payload):
-        self.socket.sendall(self.frame(op, payload))
+        with self.lock:
+            self.socket.sendall(self.frame(op, payload))
+
+    def keep_alive(self):
+        """Says each second that it is there, whatever the test waits for."""
+
+        def speak():
+            while self.closed is None:
+                try:
+                    self.send(10, b"!")
+                except (OSError, ssl.SSLError):
+                    return
+                time.sleep(1)
+
+        threading.Thread(target=speak, daemon=True).start()
+        return self
 
     def tell(self, **message):
         self.send(1, json.dumps(message))
