@@ -315,7 +315,7 @@ static const char *check_keys(const service *s, const json_t *arguments)
 static void call_order(panel_desk *d, panel_client *client, const panel_request *r)
 {
     const service *s = services + r->service - 1;
-    panel_order *o = calloc(1, sizeof *o);
+    panel_order *o = panel_link_fresh(&d->o.link->spent_orders, sizeof *o);
     json_t *fields = about(client);
     if (!o || !fields) {
         free(o);
@@ -421,7 +421,7 @@ static void set_parameter(panel_desk *d, panel_client *client, const json_t *ite
     else if (panel_parameter_read(&waits.number, d->o.parameter + p, json_object_get(item, "value"),
                                   &error) != TD_OK)
         why = error.message;
-    panel_order *o = why ? NULL : calloc(1, sizeof *o);
+    panel_order *o = why ? NULL : panel_link_fresh(&d->o.link->spent_orders, sizeof *o);
     if (!why && !o) why = "out of memory";
     if (!why) {
         json_t *fields = about(client);

@@ -71,8 +71,8 @@ void panel_feed_diagnose(panel_feed *f)
                            "late_max_s", p->late_max_s, "real_time_factor", p->speed, "clients",
                            (json_int_t)f->counts->clients, "operator",
                            (json_int_t)panel_desk_operator(f->desk), "samples_dropped",
-                           (json_int_t)atomic_load(&f->link->dropped), "orders", (json_int_t)f->counts->orders,
-                           "refused", (json_int_t)f->counts->refused));
+                           (json_int_t)atomic_load(&f->link->dropped), "orders",
+                           (json_int_t)f->counts->orders, "refused", (json_int_t)f->counts->refused));
 }
 
 /* ---- from the session ---- */
@@ -116,9 +116,10 @@ static void tell_fault(panel_feed *f, td_status status, const td_error *error)
 void panel_feed_take(panel_feed *f)
 {
     td_error error = {0};
-    for (panel_news *n; (n = panel_ring_take(&f->link->news)); f->link->news.release(n))
+    for (panel_news *n; (n = panel_ring_take(&f->link->news)); panel_link_give_back(&f->link->spent_news, n))
         tell_fault(f, take_news(f, n, &error), &error);
-    for (panel_sample *p; (p = panel_ring_take(&f->link->samples)); f->link->samples.release(p))
+    for (panel_sample *p; (p = panel_ring_take(&f->link->samples));
+         panel_link_give_back(&f->link->spent_samples, p))
         tell_fault(f, take_sample(f, p, &error), &error);
 }
 

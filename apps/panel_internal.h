@@ -82,6 +82,9 @@ typedef struct panel_order {
 
 typedef struct panel_link {
     panel_ring samples, news, orders;
+    /* What was taken goes back to the thread that made it, which uses or frees it: a thread that frees what
+     * another allocated takes that one's lock, and could be put to sleep with it. */
+    panel_ring spent_samples, spent_news, spent_orders;
     atomic_bool stop;         /* the operator is gone: UserStop */
     atomic_ullong dropped;    /* samples */
     void (*wake)(void *user); /* the server; from any thread */
@@ -89,6 +92,9 @@ typedef struct panel_link {
 } panel_link;
 td_status panel_link_begin(panel_link *link, td_error *error);
 void panel_link_end(panel_link *link);
+/* One of `size` bytes that came back, or a new one; zeroed. NULL: out of memory. */
+void *panel_link_fresh(panel_ring *spent, size_t size);
+void panel_link_give_back(panel_ring *spent, void *thing);
 
 /* ---- the session's side ---- */
 

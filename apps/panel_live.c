@@ -49,7 +49,10 @@ td_status panel_link_begin(panel_link *link, td_error *error)
     atomic_init(&link->stop, false);
     atomic_init(&link->dropped, 0);
     if (panel_ring_begin(&link->samples, SAMPLES, free) &&
-        panel_ring_begin(&link->news, NEWS, release_news) && panel_ring_begin(&link->orders, ORDERS, free))
+        panel_ring_begin(&link->news, NEWS, release_news) && panel_ring_begin(&link->orders, ORDERS, free) &&
+        panel_ring_begin(&link->spent_samples, SAMPLES, free) &&
+        panel_ring_begin(&link->spent_news, NEWS, release_news) &&
+        panel_ring_begin(&link->spent_orders, ORDERS, free))
         return TD_OK;
     return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
 }
@@ -59,6 +62,31 @@ void panel_link_end(panel_link *link)
     panel_ring_end(&link->samples);
     panel_ring_end(&link->news);
     panel_ring_end(&link->orders);
+    panel_ring_end(&link->spent_samples);
+    panel_ring_end(&link->spent_news);
+    panel_ring_end(&link->spent_orders);
+}
+
+void *panel_link_fresh(panel_ring *spent, size_t size)
+{
+    void *thing = panel_ring_take(spent);
+    if (!thing) return calloc(1, size);
+    memset(thing, 0, size);
+    return thing;
+}
+
+void panel_link_give_back(panel_ring *spent, void *thing)
+{
+    if (!panel_ring_offer(spent, thing)) spent->release(thing);
+}
+
+static panel_news *fresh_news(panel_live *l)
+{
+    panel_news *n = panel_ring_take(&l->link->spent_news);
+    if (!n) return calloc(1, sizeof *n);
+    td_elevation_free(&n->ground.map);
+    *n = (panel_news){0};
+    return n;
 }
 
 /* ---- orders ---- */
@@ -103,7 +131,7 @@ static td_status set_parameter(panel_live *l, const panel_order *order, long per
              a->accepted ? "" : "refused: ", a->accepted ? "accepted" : why.message);
     if (!a->accepted) return TD_OK;
     l->live.changes++;
-    panel_news *n = calloc(1, sizeof *n);
+    panel_news *n = fresh_news(l);
     if (!n) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
     *n = (panel_news){.kind = PANEL_CHANGE,
                       .parameter = order->parameter,
@@ -145,7 +173,8 @@ static td_status take_orders(struct live *live, task_inputs *inputs, long period
         l->jog_until = 0;
         TD_TRY(add(inputs, &events, period, TD_EVENT_USER_STOP, error));
     }
-    for (panel_order *o; status == TD_OK && (o = panel_ring_take(&l->link->orders)); free(o))
+    for (panel_order *o; status == TD_OK && (o = panel_ring_take(&l->link->orders));
+         panel_link_give_back(&l->link->spent_orders, o))
         status = take_order(l, o, inputs, &events, period, phase, error);
     if (status != TD_OK || period >= l->jog_until) return status;
     if (phase != TD_PHASE_MANUAL) l->jog_until = 0;
@@ -173,7 +202,7 @@ static td_status send_answers(panel_live *l, td_error *error)
     size_t left = 0;
     for (size_t i = 0; i < l->asked_count; i++) {
         const asked *a = l->asked + i;
-        panel_news *n = a->answered ? calloc(1, sizeof *n) : NULL;
+        panel_news *n = a->answered ? fresh_news(l) : NULL;
         if (a->answered && !n) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
         if (n) {
             *n = (panel_news){.kind = PANEL_ANSWER, .order = a->order, .accepted = a->accepted};
@@ -192,7 +221,7 @@ static td_status send_notes(panel_live *l, task_run *run, td_error *error)
 {
     size_t sent = 0;
     for (; sent < run->note_count; sent++) {
-        panel_news *n = calloc(1, sizeof *n);
+        panel_news *n = fresh_news(l);
         if (!n) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
         n->kind = PANEL_NOTE;
         n->note = run->note[sent];
@@ -210,7 +239,7 @@ static td_status send_ground(panel_live *l, const task_run *run, td_error *error
 {
     const task_ground *g = run->ground_count ? run->ground + run->ground_count - 1 : NULL;
     if (!g || (g->map == l->ground.map && g->time_s == l->ground.time_s)) return TD_OK;
-    panel_news *n = calloc(1, sizeof *n);
+    panel_news *n = fresh_news(l);
     if (!n) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
     n->kind = PANEL_GROUND;
     n->ground.time_s = g->time_s;
@@ -228,7 +257,7 @@ static td_status send_sample(panel_live *l, const live_view *v, td_error *error)
     const task_sample *a = v->run->count ? v->run->sample + v->run->count - 1 : NULL;
     const td_clock_counts *c = &l->live.clock.counts;
     if (!a || a->time_s == l->sample_s) return TD_OK;
-    panel_sample *s = calloc(1, sizeof *s);
+    panel_sample *s = panel_link_fresh(&l->link->spent_samples, sizeof *s);
     if (!s) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
     if (l->begun_s == 0) l->begun_s = terminal_now_s(), l->begun_at_s = v->time_s;
     const double passed = terminal_now_s() - l->begun_s;
