@@ -51,6 +51,7 @@ static td_status tell(session *x, td_phase before, uint32_t orders, td_error *er
         if ((orders & TD_EVENT_BIT(e)) && x->out.answer[e] > TD_ANSWER_ACCEPTED)
             TD_TRY(session_note(x, NOTE_MESSAGE, td_event_text((td_event)e), td_answer_text(x->out.answer[e]),
                                 error));
+    if (x->live && x->live->answered) x->live->answered(x->live, orders, x->out.answer);
     for (int m = 0; m < TD_MESSAGE_COUNT; m++)
         if (x->out.messages & TD_MESSAGE_BIT(m))
             TD_TRY(session_note(x, NOTE_MESSAGE, "session", td_message_text((td_message)m), error));
@@ -99,14 +100,19 @@ static td_status begin_run(session *x, td_error *error)
     return session_plan_ahead(x, error);
 }
 
+static td_behaviour_inputs levels(const session *x, uint32_t events)
+{
+    return (td_behaviour_inputs){.events = events,
+                                 .links_open = x->links_open,
+                                 .parameters_read = x->parameters_read,
+                                 .task = x->task_id,
+                                 .machine_task = x->world ? x->task_id : 0};
+}
+
 static td_status react(session *x, uint32_t events, td_error *error)
 {
     const td_phase before = x->logic.phase;
-    const td_behaviour_inputs in = {.events = events,
-                                    .links_open = x->links_open,
-                                    .parameters_read = x->parameters_read,
-                                    .task = x->task_id,
-                                    .machine_task = x->world ? x->task_id : 0};
+    const td_behaviour_inputs in = levels(x, events);
     td_behaviour_react(&x->logic, &in, &x->out);
     TD_TRY(tell(x, before, events, error));
     if (x->out.close_links) x->links_open = false;
@@ -188,7 +194,9 @@ static td_status take_inputs(session *x, uint32_t *events, td_error *error)
         TD_TRY(hand_in(x, x->input->item + x->next_input++, events, error));
     if (!x->live) return TD_OK;
     task_inputs keys = {0};
-    td_status status = live_inputs(x->live, &keys, x->period, x->logic.phase, error);
+    const int changes = x->live->changes;
+    td_status status = x->live->inputs(x->live, &keys, x->period, x->logic.phase, error);
+    x->task_id += 2 * (uint32_t)(x->live->changes - changes); /* another motion */
     for (size_t i = 0; status == TD_OK && i < keys.count; i++)
         status = hand_in(x, keys.item + i, events, error);
     free(keys.item);
@@ -257,8 +265,9 @@ static bool is_over(const session *x)
     if (x->input->end >= 0) return x->period >= x->input->end;
     if (x->next_input < x->input->count) return false;
     const bool rested = (double)(x->period - x->phase_since) * x->s->period_s >= REST_S;
-    if (phase == TD_PHASE_IDLE) return rested;
-    if (is_working(x) || (x->live && live_attended(x->live))) return false;
+    const bool attended = x->live && x->live->attended(x->live);
+    if (phase == TD_PHASE_IDLE) return rested && !(attended && x->live->lasting);
+    if (is_working(x) || attended) return false;
     if (x->world && x->world->outside && phase == TD_PHASE_EXECUTION_PAUSED) return false;
     return phase == TD_PHASE_SIMULATED || rested;
 }
@@ -309,12 +318,25 @@ static td_status wait_for_clock(session *x, td_error *error)
     bool missed = false;
     if (!x->live) return TD_OK;
     TD_TRY(live_wait(x->live, &missed, error));
-    live_show(x->live, x->run, x->logic.phase, x->step, x->steps, session_time(x));
     const task_input input = {.event = TD_EVENT_DEADLINE, .joint = -1};
     uint32_t events = 0;
     if (missed) TD_TRY(hand_in(x, &input, &events, error));
     x->reports |= events;
     return TD_OK;
+}
+
+static td_status show(session *x, td_error *error)
+{
+    if (!x->live) return TD_OK;
+    const td_behaviour_inputs now = levels(x, 0);
+    const live_view view = {.run = x->run,
+                            .phase = x->logic.phase,
+                            .step = x->step,
+                            .steps = x->steps,
+                            .period = x->period,
+                            .time_s = session_time(x),
+                            .offers = td_behaviour_offers(&x->logic, &now)};
+    return x->live->show(x->live, &view, error);
 }
 
 /* ---- from the start to the end ---- */
@@ -389,6 +411,14 @@ static td_status begin_in_world(session *x, td_error *error)
     return react(x, TD_EVENT_BIT(TD_EVENT_START), error);
 }
 
+/* A log that begins with Prepare is one of a session that waited for its operator. */
+static bool waits(const session *x)
+{
+    if (x->live && x->live->lasting) return true;
+    return x->input->count > 0 && x->input->item[0].period == 0 &&
+           x->input->item[0].event == TD_EVENT_PREPARE;
+}
+
 /* Prepare, the checks, StartSim: before time begins. */
 static td_status begin_session(session *x, td_error *error)
 {
@@ -408,6 +438,7 @@ static td_status begin_session(session *x, td_error *error)
     if (!x->ahead) return td_fail(error, TD_ERROR_MEMORY, "no memory for a task");
     if (x->world) return begin_in_world(x, error);
     td_behaviour_begin(&x->logic, &o);
+    if (waits(x)) return TD_OK;
     TD_TRY(react(x, TD_EVENT_BIT(TD_EVENT_PREPARE), error));
     TD_TRY(react(x, 0, error));
     return react(x, TD_EVENT_BIT(TD_EVENT_START), error);
@@ -419,14 +450,15 @@ static td_status all_the_way(session *x, const td_progress *progress, td_error *
     for (;;) {
         const double begun = cpu_now();
         TD_TRY(one_period(x, error));
+        TD_TRY(show(x, error));
         if (is_over(x)) return TD_OK;
         TD_TRY(advance(x, error));
         x->run->late += cpu_now() - begun > x->s->period_s;
         if (x->broken) return TD_OK;
         TD_TRY(wait_for_clock(x, error));
         const size_t done = (size_t)x->simulated < total ? (size_t)x->simulated : total;
-        const bool go_on =
-            x->live ? !terminal_interrupted() : td_progress_report(progress, "simulating", done, total);
+        const bool go_on = x->live ? x->live->lasting || !terminal_interrupted()
+                                   : td_progress_report(progress, "simulating", done, total);
         if (!go_on) return td_fail(error, TD_ERROR_CANCELLED, "interrupted");
     }
 }
@@ -460,7 +492,7 @@ static td_status run_session(session *x, td_machine_base base, const td_progress
     run->phase = x->logic.phase;
     if (x->machine) run->counters = td_machine_count(x->machine);
     if (status == TD_OK && x->station) status = end_station(x, error);
-    if (x->live) run->live = (task_live){true, live_counts(x->live), x->s->period_s};
+    if (x->live) run->live = (task_live){true, x->live->clock.counts, x->s->period_s};
     session_forget_plans(x);
     session_end_dig(x);
     free(x->ahead);

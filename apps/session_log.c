@@ -56,6 +56,7 @@ static td_status watch(session *x, const task_sample *a, td_error *error)
 td_status session_sample(session *x, td_error *error)
 {
     task_run *r = x->run;
+    if (x->live && x->live->lasting) r->count = 0;
     if (r->count == r->room) {
         const size_t room = 2 * r->room + 512;
         task_sample *more = room <= SIMULATE_MAX_ROWS ? realloc(r->sample, room * sizeof *more) : NULL;

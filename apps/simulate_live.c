@@ -13,21 +13,19 @@
 
 static const double HELD_S = 0.3; /* a key counts as held so long: terminals repeat it sooner */
 
-struct live {
+typedef struct key_live {
+    struct live live; /* the first: what the session sees */
     terminal *term;
-    td_clock_options options;
-    td_clock clock;
-    double period_s, shown_s;
+    double shown_s;
     int joints;
     bool attended, keys, raw;
     struct termios before;
     task_input jog;
     long jog_until; /* period */
-    char escape[2];
     int escapes;
-};
+} key_live;
 
-static void open_keys(struct live *l)
+static void open_keys(key_live *l)
 {
     l->keys = true;
     l->attended = isatty(STDIN_FILENO) && tcgetpgrp(STDIN_FILENO) == getpgrp();
@@ -40,23 +38,19 @@ static void open_keys(struct live *l)
     l->raw = tcsetattr(STDIN_FILENO, TCSANOW, &raw) == 0;
 }
 
-td_status live_begin(struct live **live, const scenario *s, terminal *term, td_log log, td_error *error)
+/* ---- ticks ---- */
+
+void live_pace(struct live *l, const scenario *s, td_log log)
 {
-    struct live *l = *live = calloc(1, sizeof *l);
     td_clock_options o = td_clock_options_default();
-    if (!l) return td_fail(error, TD_ERROR_MEMORY, "no memory for a session");
-    l->term = term;
-    l->period_s = s->period_s;
-    l->joints = s->robot->joint_count;
     o.period_ns = llround(1e9 * s->period_s);
     o.tolerance_ns = llround(1e9 * s->task->tolerance_s);
     /* To stop is the behaviour's decision, so that the machine is braked and the log has its end. */
     o.policy = s->task->miss == TD_MISS_SLIP ? TD_MISS_SLIP : TD_MISS_CATCH_UP;
     o.log = log;
-    open_keys(l);
-    (void)mlockall(MCL_CURRENT); /* where allowed: pages that are not there cost deadlines */
+    l->period_s = s->period_s;
     l->options = o;
-    return TD_OK;
+    (void)mlockall(MCL_CURRENT); /* where allowed: pages that are not there cost deadlines */
 }
 
 td_status live_start(struct live *l, td_error *error)
@@ -66,24 +60,12 @@ td_status live_start(struct live *l, td_error *error)
     return td_clock_start(&l->clock, &l->options, error);
 }
 
-void live_end(struct live **live)
+td_status live_wait(struct live *l, bool *missed, td_error *error)
 {
-    if (!live || !*live) return;
-    if ((*live)->raw) tcsetattr(STDIN_FILENO, TCSANOW, &(*live)->before);
-    terminal_clear((*live)->term);
-    (void)munlockall();
-    free(*live);
-    *live = NULL;
-}
-
-bool live_attended(const struct live *live)
-{
-    return live->attended;
-}
-
-td_clock_counts live_counts(const struct live *live)
-{
-    return live->clock.counts;
+    const uint64_t before = l->clock.counts.misses;
+    TD_TRY(td_clock_wait(&l->clock, NULL, error));
+    *missed = l->clock.counts.misses > before;
+    return TD_OK;
 }
 
 /* ---- keys ---- */
@@ -122,7 +104,7 @@ static bool stick_of(task_input *jog, char key, bool arrow)
 }
 
 /* Of an arrow's three bytes the last is looked at. */
-static bool is_arrow(struct live *l, char key)
+static bool is_arrow(key_live *l, char key)
 {
     if (key == 27 || (l->escapes == 1 && key == '[')) {
         l->escapes = key == 27 ? 1 : 2;
@@ -133,7 +115,7 @@ static bool is_arrow(struct live *l, char key)
     return arrow;
 }
 
-static td_status take_key(struct live *l, task_inputs *inputs, long period, td_phase phase, char key,
+static td_status take_key(key_live *l, task_inputs *inputs, long period, td_phase phase, char key,
                           td_error *error)
 {
     task_input jog = {.joint = -1}, input = {.period = period, .joint = -1};
@@ -141,15 +123,17 @@ static td_status take_key(struct live *l, task_inputs *inputs, long period, td_p
     if (within) return TD_OK;
     if (phase == TD_PHASE_MANUAL && stick_of(&jog, key, arrow) && jog.joint < l->joints) {
         l->jog = jog;
-        l->jog_until = period + (long)ceil(HELD_S / l->period_s);
+        l->jog_until = period + (long)ceil(HELD_S / l->live.period_s);
         return TD_OK;
     }
     input.event = arrow ? TD_EVENT_COUNT : event_of(key, phase);
     return input.event == TD_EVENT_COUNT ? TD_OK : inputs_add(inputs, &input, error);
 }
 
-td_status live_inputs(struct live *l, task_inputs *inputs, long period, td_phase phase, td_error *error)
+static td_status take_keys(struct live *live, task_inputs *inputs, long period, td_phase phase,
+                           td_error *error)
 {
+    key_live *l = (key_live *)live;
     struct pollfd in = {.fd = STDIN_FILENO, .events = POLLIN};
     while (l->keys && poll(&in, 1, 0) == 1) {
         char key = 0;
@@ -164,26 +148,52 @@ td_status live_inputs(struct live *l, task_inputs *inputs, long period, td_phase
     return inputs_add(inputs, &l->jog, error);
 }
 
-/* ---- ticks ---- */
-
-td_status live_wait(struct live *l, bool *missed, td_error *error)
+static td_status show(struct live *live, const live_view *v, td_error *error)
 {
-    const uint64_t before = l->clock.counts.misses;
-    TD_TRY(td_clock_wait(&l->clock, NULL, error));
-    *missed = l->clock.counts.misses > before;
-    return TD_OK;
-}
-
-void live_show(struct live *l, const task_run *run, td_phase phase, int step, int steps, double time_s)
-{
-    (void)run;
-    if (l->term->quiet || !l->term->is_tty || time_s < l->shown_s + 0.1) return;
-    l->shown_s = time_s;
+    key_live *l = (key_live *)live;
+    (void)error;
+    if (l->term->quiet || !l->term->is_tty || v->time_s < l->shown_s + 0.1) return TD_OK;
+    l->shown_s = v->time_s;
     l->term->bar_shown = true; /* a message takes it away first */
     fprintf(stderr,
             "\r\033[K%8.1f s  %s, step %d of %d, missed %llu  | space pause, a abort, r reinit, s start, "
             "m manual, q stop",
-            time_s, td_phase_text(phase), step + 1 > steps ? steps : step + 1, steps,
-            (unsigned long long)l->clock.counts.misses);
+            v->time_s, td_phase_text(v->phase), v->step + 1 > v->steps ? v->steps : v->step + 1, v->steps,
+            (unsigned long long)l->live.clock.counts.misses);
     fflush(stderr);
+    return TD_OK;
+}
+
+/* ---- from the start to the end ---- */
+
+static bool is_attended(const struct live *live)
+{
+    return ((const key_live *)live)->attended;
+}
+
+td_status live_begin(struct live **live, const scenario *s, terminal *term, td_log log, td_error *error)
+{
+    key_live *l = calloc(1, sizeof *l);
+    *live = NULL;
+    if (!l) return td_fail(error, TD_ERROR_MEMORY, "no memory for a session");
+    l->term = term;
+    l->joints = s->robot->joint_count;
+    l->live.inputs = take_keys;
+    l->live.attended = is_attended;
+    l->live.show = show;
+    live_pace(&l->live, s, log);
+    open_keys(l);
+    *live = &l->live;
+    return TD_OK;
+}
+
+void live_end(struct live **live)
+{
+    key_live *l = live ? (key_live *)*live : NULL;
+    if (!l) return;
+    if (l->raw) tcsetattr(STDIN_FILENO, TCSANOW, &l->before);
+    terminal_clear(l->term);
+    (void)munlockall();
+    free(l);
+    *live = NULL;
 }

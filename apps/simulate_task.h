@@ -218,18 +218,43 @@ const char *note_kind_name(note_kind kind);
 /* The event of that text (td_event_text); TD_EVENT_COUNT: none. */
 td_event task_event_named(const char *name);
 
-/* In real time. */
-td_status live_begin(struct live **live, const scenario *s, terminal *term, td_log log, td_error *error);
-void live_end(struct live **live);
+/* What of a session is shown each period. */
+typedef struct live_view {
+    task_run *run;
+    td_phase phase;
+    int step, steps;
+    long period;
+    double time_s;
+    uint32_t offers; /* orders that would be obeyed now (td_behaviour_offers) */
+} live_view;
+
+/* In real time: the ticks; where orders come from and where the session is shown. Made by keys (live_begin)
+ * or by the panel. All of it is called by the session's thread, which it must not keep waiting. */
+struct live {
+    td_clock_options options;
+    td_clock clock;
+    double period_s;
+    /* Until `attended` says no: the session begins in IDLE, waits for orders there, and keeps nothing but its
+     * newest sample. Else the task is simulated at once. */
+    bool lasting;
+    int changes; /* of the scenario, by orders: another task from now on */
+    /* What is asked for now. */
+    td_status (*inputs)(struct live *live, task_inputs *inputs, long period, td_phase phase, td_error *error);
+    /* To the orders among `events` (TD_EVENT_BIT): answers by event. May be NULL. */
+    void (*answered)(struct live *live, uint32_t events, const td_answer *answer);
+    /* Whether an operator is there, who ends the session. */
+    bool (*attended)(const struct live *live);
+    td_status (*show)(struct live *live, const live_view *view, td_error *error);
+};
+/* Its clock, from what the scenario says. */
+void live_pace(struct live *live, const scenario *s, td_log log);
 /* The first tick is a period from now. */
 td_status live_start(struct live *live, td_error *error);
-/* What keys ask for now. */
-td_status live_inputs(struct live *live, task_inputs *inputs, long period, td_phase phase, td_error *error);
 /* Until the next tick. *missed: its deadline was. */
 td_status live_wait(struct live *live, bool *missed, td_error *error);
-/* Whether an operator is there, who ends the session. */
-bool live_attended(const struct live *live);
-void live_show(struct live *live, const task_run *run, td_phase phase, int step, int steps, double time_s);
-td_clock_counts live_counts(const struct live *live);
+
+/* Led by keys. */
+td_status live_begin(struct live **live, const scenario *s, terminal *term, td_log log, td_error *error);
+void live_end(struct live **live);
 
 #endif

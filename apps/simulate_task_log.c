@@ -6,19 +6,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "apps/simulate_task.h"
+#include "apps/simulate_task_message.h"
 #include "core/csv.h"
 #include "core/file.h"
-#include "core/foxglove.h"
 #include "core/number.h"
-
-static const char *const kinds[] = {"order", "report", "message", "phase", "fault", "step"};
-static const char INPUT_TOPIC[] = "/inputs", SITE[] = "site";
-
-const char *note_kind_name(note_kind kind)
-{
-    return kinds[kind];
-}
 
 /* ---- which scenario ---- */
 
@@ -149,7 +140,8 @@ static void rows_of(FILE *f, const task_run *run, const scenario *s)
 static void event_row(FILE *f, const scenario *s, const task_note *n)
 {
     char number[TD_NUMBER_SIZE];
-    fprintf(f, "%ld,%s,%s,%s,", n->period, td_number_format(number, n->time_s, 12), kinds[n->kind], n->name);
+    fprintf(f, "%ld,%s,%s,%s,", n->period, td_number_format(number, n->time_s, 12), note_kind_name(n->kind),
+            n->name);
     if (n->joint >= 0) fprintf(f, "%s", s->robot->joint[n->joint].name);
     fputc(',', f);
     if (n->joint >= 0) fprintf(f, "%s", td_number_format(number, n->stick, 0));
@@ -170,147 +162,62 @@ static void events_of(FILE *f, const task_run *run, const scenario *s, const cha
 
 /* ---- recording.mcap ---- */
 
-enum { TF, JOINTS, WANTED, TOOL, TOOL_WANTED, MACHINE, LOG, TERRAIN, CHANNELS };
-
 typedef struct recorder {
     td_mcap_writer *writer;
-    int channel[CHANNELS], inputs;
+    int channel[TASK_CHANNELS];
     const scenario *s;
-    double begun_s; /* of the session under way, in the recording's time */
+    task_sink to;
 } recorder;
 
-/* The message's text is freed. */
-static td_status keep(recorder *r, int channel, td_status made, char *json, size_t size, uint64_t ns,
-                      td_error *error)
+static td_status keep(void *user, task_channel channel, uint64_t ns, char *json, size_t size, td_error *error)
 {
-    if (made == TD_OK) made = td_mcap_write(r->writer, r->channel[channel], ns, json, size, error);
+    recorder *r = user;
+    const td_status status = td_mcap_write(r->writer, r->channel[channel], ns, json, size, error);
     free(json);
-    return made;
-}
-
-static td_status begin_recording(recorder *r, const char *path, td_error *error)
-{
-    static const char *const topic[CHANNELS] = {
-        "/tf", "/joints", "/joints/desired", "/tool", "/tool/desired", "/machine", "/log", "/terrain"};
-    static const td_foxglove_kind kind[CHANNELS] = {
-        TD_FOXGLOVE_TRANSFORMS, TD_FOXGLOVE_JOINTS, TD_FOXGLOVE_JOINTS, TD_FOXGLOVE_POSE,
-        TD_FOXGLOVE_POSE,       TD_FOXGLOVE_SCENE,  TD_FOXGLOVE_LOG,    TD_FOXGLOVE_GRID};
-    static const char schema[] =
-        "{\"type\":\"object\",\"title\":\"teledimos.Input\",\"properties\":{\"period\":{\"type\":\"integer\"}"
-        ","
-        "\"kind\":{\"type\":\"string\"},\"name\":{\"type\":\"string\"},\"joint\":{\"type\":\"string\"},"
-        "\"stick\":{\"type\":\"number\"}}}";
-    const td_mcap_channel inputs = {INPUT_TOPIC,  "json", "teledimos.Input",
-                                    "jsonschema", schema, sizeof schema - 1};
-    TD_TRY(td_mcap_writer_new(&r->writer, path, NULL, error));
-    for (int i = 0; i < (r->s->map ? CHANNELS : TERRAIN); i++) {
-        const td_mcap_channel about = td_foxglove_channel(kind[i], topic[i]);
-        TD_TRY(td_mcap_channel_add(r->writer, &r->channel[i], &about, error));
-    }
-    return td_mcap_channel_add(r->writer, &r->inputs, &inputs, error);
-}
-
-static td_status record_sample(recorder *r, const task_sample *a, td_error *error)
-{
-    const td_robot *robot = r->s->robot;
-    td_plant_state wanted = {.time_s = r->begun_s + a->time_s};
-    char *json = NULL;
-    size_t size = 0;
-    uint64_t ns = 0;
-    td_mcap_time(&ns, r->begun_s + a->time_s);
-    td_status status =
-        td_foxglove_transforms(&json, &size, robot, a->state.q, SITE, &a->state.site_from_vehicle, ns, error);
-    TD_TRY(keep(r, TF, status, json, size, ns, error));
-    status = td_foxglove_joints(&json, &size, robot, &a->state, ns, error);
-    TD_TRY(keep(r, JOINTS, status, json, size, ns, error));
-    memcpy(wanted.q, a->wanted, sizeof wanted.q);
-    status = td_foxglove_joints(&json, &size, robot, &wanted, ns, error);
-    TD_TRY(keep(r, WANTED, status, json, size, ns, error));
-    status = td_foxglove_pose(&json, &size, &a->tool, SITE, ns, error);
-    TD_TRY(keep(r, TOOL, status, json, size, ns, error));
-    status = td_foxglove_pose(&json, &size, &a->tool_wanted, SITE, ns, error);
-    return keep(r, TOOL_WANTED, status, json, size, ns, error);
-}
-
-static td_status record_ground(recorder *r, const task_ground *g, td_error *error)
-{
-    char *json = NULL;
-    size_t size = 0;
-    uint64_t ns = 0;
-    td_mcap_time(&ns, r->begun_s + g->time_s);
-    const td_status status = td_foxglove_grid(&json, &size, g->map, ns, error);
-    return keep(r, TERRAIN, status, json, size, ns, error);
-}
-
-static td_status record_input(recorder *r, long period, double time_s, const char *kind, const char *name,
-                              int joint, double stick, td_error *error)
-{
-    uint64_t ns = 0;
-    td_mcap_time(&ns, r->begun_s + time_s);
-    period += lround(r->begun_s / r->s->period_s);
-    json_t *o = json_pack("{s:I, s:s, s:s, s:s, s:f}", "period", (json_int_t)period, "kind", kind, "name",
-                          name, "joint", joint >= 0 ? r->s->robot->joint[joint].name : "", "stick", stick);
-    char *text = o ? json_dumps(o, JSON_COMPACT | JSON_PRESERVE_ORDER | JSON_REAL_PRECISION(17)) : NULL;
-    json_decref(o);
-    if (!text) return td_fail(error, TD_ERROR_MEMORY, "no memory for a message");
-    const td_status status = td_mcap_write(r->writer, r->inputs, ns, text, strlen(text), error);
-    free(text);
     return status;
 }
 
-static td_status record_note(recorder *r, const task_note *n, td_error *error)
+td_status task_recording_begin(td_mcap_writer **writer, int channel[TASK_CHANNELS], const char *path,
+                               bool on_ground, td_error *error)
 {
-    const td_log_level level = n->kind == NOTE_FAULT || n->kind == NOTE_REPORT ? TD_LOG_WARNING : TD_LOG_INFO;
-    char text[600], *json = NULL;
-    size_t size = 0;
-    uint64_t ns = 0;
-    td_mcap_time(&ns, r->begun_s + n->time_s);
-    snprintf(text, sizeof text, "%s: %s%s%s", kinds[n->kind], n->name, *n->text ? ": " : "", n->text);
-    const td_status status = td_foxglove_log(&json, &size, level, "session", text, ns, error);
-    TD_TRY(keep(r, LOG, status, json, size, ns, error));
-    if (n->kind != NOTE_ORDER && n->kind != NOTE_REPORT) return TD_OK;
-    return record_input(r, n->period, n->time_s, kinds[n->kind], n->name, n->joint, n->stick, error);
+    TD_TRY(td_mcap_writer_new(writer, path, NULL, error));
+    for (int i = 0; i < TASK_CHANNELS; i++) {
+        const td_mcap_channel about = task_channel_about((task_channel)i);
+        if (i != TASK_TERRAIN || on_ground) TD_TRY(td_mcap_channel_add(*writer, channel + i, &about, error));
+    }
+    return TD_OK;
 }
 
-/* The machine, and what the recording is of. */
-static td_status record_begin(recorder *r, const char *identity, td_error *error)
+static td_status record_begin(recorder *r, const scenario *s, const char *path, const char *identity,
+                              td_error *error)
 {
-    static const double yellow[4] = {0.93, 0.69, 0.13, 1};
-    char *json = NULL;
-    size_t size = 0;
-    const td_status status = td_foxglove_machine(&json, &size, r->s->robot, yellow, 0, error);
-    TD_TRY(keep(r, MACHINE, status, json, size, 0, error));
-    return record_input(r, 0, 0, "scenario", identity, -1, 0, error);
+    *r = (recorder){.s = s, .to = {.take = keep, .user = r, .period_s = s->period_s}};
+    TD_TRY(task_recording_begin(&r->writer, r->channel, path, s->map != NULL, error));
+    return task_message_begin(&r->to, s->robot, identity, error);
 }
 
-static td_status record_run(recorder *r, const task_run *run, td_error *error)
+static td_status record_run(const task_sink *to, const task_run *run, const td_robot *robot, td_error *error)
 {
     size_t next = 0, ground = 0;
     for (size_t i = 0; i < run->count; i++) {
         for (; next < run->note_count && run->note[next].time_s <= run->sample[i].time_s; next++)
-            TD_TRY(record_note(r, run->note + next, error));
+            TD_TRY(task_message_note(to, robot, run->note + next, error));
         for (; ground < run->ground_count && run->ground[ground].time_s <= run->sample[i].time_s; ground++)
-            TD_TRY(record_ground(r, run->ground + ground, error));
-        TD_TRY(record_sample(r, run->sample + i, error));
+            TD_TRY(task_message_ground(to, run->ground + ground, error));
+        TD_TRY(task_message_sample(to, robot, run->sample + i, error));
     }
-    for (; ground < run->ground_count; ground++) TD_TRY(record_ground(r, run->ground + ground, error));
-    for (; next < run->note_count; next++) TD_TRY(record_note(r, run->note + next, error));
+    for (; ground < run->ground_count; ground++) TD_TRY(task_message_ground(to, run->ground + ground, error));
+    for (; next < run->note_count; next++) TD_TRY(task_message_note(to, robot, run->note + next, error));
     return TD_OK;
-}
-
-static td_status record_end(recorder *r, const task_run *run, td_error *error)
-{
-    return record_input(r, run->input.end, run->time_s, "end", "end", -1, 0, error);
 }
 
 static td_status record(const task_run *run, const scenario *s, const char *path, const char *identity,
                         td_error *error)
 {
-    recorder r = {.s = s};
-    td_status status = begin_recording(&r, path, error);
-    if (status == TD_OK) status = record_begin(&r, identity, error);
-    if (status == TD_OK) status = record_run(&r, run, error);
-    if (status == TD_OK) status = record_end(&r, run, error);
+    recorder r;
+    td_status status = record_begin(&r, s, path, identity, error);
+    if (status == TD_OK) status = record_run(&r.to, run, s->robot, error);
+    if (status == TD_OK) status = task_message_end(&r.to, run->input.end, run->time_s, error);
     if (status == TD_OK) status = td_mcap_finish(&r.writer, error);
     td_mcap_writer_free(&r.writer);
     return status;
@@ -318,38 +225,28 @@ static td_status record(const task_run *run, const scenario *s, const char *path
 
 /* ---- sessions one after another ---- */
 
-static td_status record_part(recorder *r, const task_part *part, td_error *error)
-{
-    char *json = NULL;
-    size_t size = 0;
-    uint64_t ns = 0;
-    td_mcap_time(&ns, r->begun_s);
-    const td_status status = td_foxglove_log(&json, &size, TD_LOG_INFO, "rehearsal", part->text, ns, error);
-    TD_TRY(keep(r, LOG, status, json, size, ns, error));
-    return part->run ? record_run(r, part->run, error) : TD_OK;
-}
-
 static td_status record_parts(recorder *r, const task_part *part, size_t count, const task_given *given,
-                              size_t given_count, const char *identity, td_error *error)
+                              size_t given_count, td_error *error)
 {
     const task_run nothing = {0}, *last = &nothing;
-    TD_TRY(record_begin(r, identity, error));
+    const td_robot *robot = r->s->robot;
     for (size_t i = 0; i < given_count; i++)
-        TD_TRY(record_input(r, 0, 0, given[i].kind, given[i].text, -1, 0, error));
+        TD_TRY(task_message_input(&r->to, robot, 0, 0, given[i].kind, given[i].text, -1, 0, error));
     for (size_t i = 0; i < count; i++) {
-        r->begun_s += last->time_s;
-        TD_TRY(record_part(r, part + i, error));
+        r->to.begun_s += last->time_s;
+        TD_TRY(task_message_text(&r->to, "rehearsal", part[i].text, error));
         last = part[i].run ? part[i].run : &nothing;
+        TD_TRY(record_run(&r->to, last, robot, error));
     }
-    return record_end(r, last, error);
+    return task_message_end(&r->to, last->input.end, last->time_s, error);
 }
 
 td_status task_record_parts(const task_part *part, size_t count, const task_given *given, size_t given_count,
                             const scenario *s, const char *identity, const char *path, td_error *error)
 {
-    recorder r = {.s = s};
-    td_status status = begin_recording(&r, path, error);
-    if (status == TD_OK) status = record_parts(&r, part, count, given, given_count, identity, error);
+    recorder r;
+    td_status status = record_begin(&r, s, path, identity, error);
+    if (status == TD_OK) status = record_parts(&r, part, count, given, given_count, error);
     if (status == TD_OK) status = td_mcap_finish(&r.writer, error);
     td_mcap_writer_free(&r.writer);
     return status;
@@ -432,6 +329,12 @@ static td_status take(replay *r, const char *where, long period, const char *kin
         r->inputs->end = period;
         return TD_OK;
     }
+    if (strcmp(kind, "parameter") == 0)
+        return td_fail(
+            error, TD_ERROR_DATA,
+            "%s: %s was changed in period %ld, so that the scenario does not tell what ran: such a "
+            "log is not replayed",
+            where, name, period);
     task_input input = {.period = period, .event = task_event_named(name), .joint = -1, .stick = stick};
     if (strcmp(kind, "report") == 0 && input.event != TD_EVENT_DEADLINE) return TD_OK;
     if (strcmp(kind, "order") != 0 && strcmp(kind, "report") != 0) return TD_OK;
@@ -482,9 +385,9 @@ static td_status take_message(replay *r, const td_mcap_message *m, td_error *err
     json_t *o = json_loadb(m->data, m->size, JSON_REJECT_DUPLICATES, NULL);
     const bool ok = o && json_unpack(o, "{s:I, s:s, s:s, s:s, s:F}", "period", &period, "kind", &kind, "name",
                                      &name, "joint", &joint, "stick", &stick) == 0;
-    const td_status status =
-        ok ? take(r, r->path, (long)period, kind, name, joint, stick, error)
-           : td_fail(error, TD_ERROR_FORMAT, "%s: a message of %s is none of ours", r->path, INPUT_TOPIC);
+    const td_status status = ok ? take(r, r->path, (long)period, kind, name, joint, stick, error)
+                                : td_fail(error, TD_ERROR_FORMAT, "%s: a message of %s is none of ours",
+                                          r->path, task_input_topic);
     json_decref(o);
     return status;
 }
@@ -495,12 +398,12 @@ static td_status read_mcap(replay *r, td_error *error)
     td_mcap_message m;
     bool more = true;
     TD_TRY(td_mcap_open(&reader, r->path, 0, error));
-    const int channel = td_mcap_find(reader, INPUT_TOPIC), count = td_mcap_about(reader)->channel_count;
+    const int channel = td_mcap_find(reader, task_input_topic), count = td_mcap_about(reader)->channel_count;
     bool *wanted = calloc((size_t)count + 1, sizeof *wanted);
     td_status status = wanted ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for a recording");
     if (status == TD_OK && channel < 0)
         status = td_fail(error, TD_ERROR_FORMAT, "%s: no recording of teledimos simulate: it has no %s",
-                         r->path, INPUT_TOPIC);
+                         r->path, task_input_topic);
     if (status == TD_OK) {
         wanted[channel] = true;
         td_mcap_rewind(reader, wanted, 0);

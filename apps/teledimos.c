@@ -24,6 +24,7 @@ static const struct {
     {"render", "draw what a rig's cameras see of a scene"},
     {"rehearse", "the closed loop: look, plan, simulate ahead, execute, look again"},
     {"simulate", "a machine moved by given commands, or doing a task: motion, forces, sag"},
+    {"panel", "a session in real time, seen and led over the network (Foxglove)"},
     {"servo", "bring the bucket where tags say, by what a camera shows"},
     {"convert", "turn a rig into the files of another tool, or those into a rig"},
     {"target", "print a calibration target at true scale"},

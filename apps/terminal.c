@@ -33,6 +33,14 @@ bool terminal_interrupted(void)
     return interrupted;
 }
 
+bool terminal_take_interrupt(void)
+{
+    if (!interrupted) return false;
+    interrupted = 0;
+    terminal_catch_signals();
+    return true;
+}
+
 double terminal_now_s(void)
 {
     struct timespec now;

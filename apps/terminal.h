@@ -24,6 +24,8 @@ td_progress terminal_progress(terminal *t);
 /* SIGINT and SIGTERM ask for an orderly end: progress then cancels the work. */
 void terminal_catch_signals(void);
 bool terminal_interrupted(void);
+/* For what ends in no other way: the end was orderly, and the rest is done as if nobody had asked. */
+bool terminal_take_interrupt(void);
 double terminal_now_s(void);
 
 #endif

@@ -75,6 +75,8 @@ void bench_soil(const bench *b);
 void bench_dynamics(const bench *b);
 /* bench_clock.c */
 void bench_clock(const bench *b);
+/* bench_panel.c */
+void bench_panel(const bench *b);
 
 /* bench_world.c */
 void bench_world(const bench *b);
@@ -82,6 +84,8 @@ void bench_world(const bench *b);
 void bench_trajectory(const bench *b);
 /* bench_clock.c */
 void bench_clock(const bench *b);
+/* bench_panel.c */
+void bench_panel(const bench *b);
 
 /* bench_opencv.cpp: OpenCV on the same points. n views of (points,2) pixels in each image; outputs RMS (px),
  * baseline (m). */

@@ -1,0 +1,539 @@
+/* Where clients' requests are judged: subscriptions, parameters, services; who holds control; the audit log.
+ *
+ * One operator holds control, the others watch. It is taken (TakeControl) where nobody holds it, handed over
+ * (ReleaseControl with `to`), given back (ReleaseControl, while nothing moves), and lost with its connection:
+ * then the machine is stopped (UserStop). Each order is written into the audit log before it is passed on,
+ * and so is the answer; what cannot be written is refused. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "apps/panel_internal.h"
+#include "core/document.h"
+
+enum { MOST_FAULTS = 20, PENDING = 128 };
+
+#define OBJECT(fields) "{\"type\":\"object\",\"additionalProperties\":false,\"properties\":{" fields "}}"
+#define NOTHING OBJECT("")
+#define ANSWER OBJECT("\"answer\":{\"type\":\"string\"}")
+#define HOLDER OBJECT("\"operator\":{\"type\":\"integer\"}")
+
+typedef struct service {
+    panel_service about;
+    td_event event;   /* TD_EVENT_COUNT: control */
+    const char *keys; /* of its arguments, each between blanks; NULL: none */
+} service;
+
+#define ORDER(name, event)                                                                                   \
+    {                                                                                                        \
+        {name, NOTHING, ANSWER}, event, NULL                                                                 \
+    }
+
+static const service services[] = {
+    {{"TakeControl", NOTHING, HOLDER}, TD_EVENT_COUNT, NULL},
+    {{"ReleaseControl", OBJECT("\"to\":{\"type\":\"integer\",\"description\":\"the client who gets it\"}"),
+      HOLDER},
+     TD_EVENT_COUNT,
+     " to "},
+    ORDER("Prepare", TD_EVENT_PREPARE),
+    ORDER("StartSim", TD_EVENT_START),
+    ORDER("Pause", TD_EVENT_PAUSE),
+    ORDER("Resume", TD_EVENT_RESUME),
+    ORDER("Abort", TD_EVENT_ABORT),
+    ORDER("UserStop", TD_EVENT_USER_STOP),
+    ORDER("Reinit", TD_EVENT_REINIT),
+    ORDER("Validate", TD_EVENT_VALIDATE),
+    ORDER("Download", TD_EVENT_DOWNLOAD),
+    ORDER("Execute", TD_EVENT_EXECUTE),
+    ORDER("Manual", TD_EVENT_MANUAL),
+    ORDER("Automatic", TD_EVENT_AUTOMATIC),
+    {{"Jog",
+      "{\"type\":\"object\",\"additionalProperties\":false,\"required\":[\"joint\",\"stick\"],\"properties\":"
+      "{"
+      "\"joint\":{\"type\":\"string\"},\"stick\":{\"type\":\"number\",\"minimum\":-1,\"maximum\":1},"
+      "\"for_s\":{\"type\":\"number\",\"minimum\":0,\"maximum\":1}}}",
+      ANSWER},
+     TD_EVENT_JOG,
+     " joint stick for_s "},
+};
+enum { SERVICES = sizeof services / sizeof *services, TAKE = 0, RELEASE = 1 };
+
+/* An order that the session has not answered. */
+typedef struct pending {
+    uint64_t order, client;
+    uint32_t service, call; /* from 1; 0: a parameter */
+    int parameter;
+    double number;
+    char id[PANEL_ID_SIZE];
+} pending;
+
+struct panel_desk {
+    panel_desk_options o;
+    uint64_t operator_number, orders;
+    td_phase phase;
+    char session[48]; /* this run of the server */
+    pending pending[PENDING];
+    size_t pending_count;
+};
+
+panel_desk *panel_desk_new(const panel_desk_options *options)
+{
+    panel_desk *d = calloc(1, sizeof *d);
+    if (!d) return NULL;
+    d->o = *options;
+    snprintf(d->session, sizeof d->session, "%lld-%ld", (long long)time(NULL), (long)getpid());
+    return d;
+}
+
+void panel_desk_free(panel_desk **desk)
+{
+    free(*desk);
+    *desk = NULL;
+}
+
+uint64_t panel_desk_operator(const panel_desk *desk)
+{
+    return desk->operator_number;
+}
+
+void panel_desk_phase(panel_desk *desk, td_phase phase)
+{
+    desk->phase = phase;
+}
+
+/* ---- telling ---- */
+
+static void close_for(panel_client *client, const char *why)
+{
+    if (!client->why[0]) snprintf(client->why, sizeof client->why, "%s", why);
+}
+
+static void reply(panel_client *client, panel_bytes bytes)
+{
+    if (!panel_reply_add(&client->box, bytes)) close_for(client, "its answers pile up unread");
+}
+
+static json_t *about(const panel_client *client)
+{
+    return json_pack("{s:I, s:s}", "client", (json_int_t)client->number, "peer", client->peer);
+}
+
+void panel_desk_refuse(panel_desk *d, panel_client *client, const char *what, const char *why)
+{
+    json_t *fields = about(client);
+    d->o.counts->refused++;
+    json_object_set_new(fields, "request", json_string(what));
+    json_object_set_new(fields, "why", json_string(why));
+    if (client->number == d->operator_number)
+        (void)panel_audit_write(d->o.audit, "refused", fields);
+    else
+        panel_audit_stranger(d->o.audit, "refused", fields);
+}
+
+static void fault(panel_desk *d, panel_client *client, const char *what, const char *why)
+{
+    d->o.counts->faults++;
+    panel_desk_refuse(d, client, what, why);
+    reply(client, panel_status(PANEL_ERROR, why));
+    if (++client->faults >= MOST_FAULTS) close_for(client, "too many messages that are none");
+}
+
+/* ---- the newcomer ---- */
+
+void panel_desk_greet(panel_desk *d, panel_client *client)
+{
+    panel_service list[SERVICES];
+    char name[200];
+    for (int i = 0; i < SERVICES; i++) list[i] = services[i].about;
+    snprintf(name, sizeof name, "teledimos panel: %s", d->o.scenario->name);
+    reply(client, panel_server_info(name, d->session));
+    reply(client, panel_advertise(d->o.channel, d->o.channel_count));
+    reply(client, panel_advertise_services(list, SERVICES));
+}
+
+/* ---- control ---- */
+
+static bool moves(td_phase phase)
+{
+    return phase == TD_PHASE_SIMULATING || phase == TD_PHASE_SIMULATION_PAUSED ||
+           phase == TD_PHASE_EXECUTING || phase == TD_PHASE_EXECUTION_PAUSED ||
+           phase == TD_PHASE_DOWNLOADING || phase == TD_PHASE_MANUAL;
+}
+
+static void tell_one(panel_client *client, void *text)
+{
+    reply(client, panel_status(PANEL_INFO, text));
+}
+
+static void give_control(panel_desk *d, uint64_t to)
+{
+    char text[120];
+    d->operator_number = to;
+    if (to)
+        snprintf(text, sizeof text, "client %llu holds control", (unsigned long long)to);
+    else
+        snprintf(text, sizeof text, "nobody holds control");
+    d->o.each(d->o.user, tell_one, text);
+}
+
+static bool note_control(panel_desk *d, const panel_client *client, const char *how, uint64_t to)
+{
+    json_t *fields = about(client);
+    json_object_set_new(fields, "how", json_string(how));
+    json_object_set_new(fields, "operator", json_integer((json_int_t)to));
+    return panel_audit_write(d->o.audit, "control", fields);
+}
+
+static void answer_control(panel_desk *d, panel_client *client, const panel_request *r)
+{
+    reply(client, panel_response(r->service, r->call,
+                                 json_pack("{s:I}", "operator", (json_int_t)d->operator_number)));
+}
+
+static void refuse_call(panel_desk *d, panel_client *client, const panel_request *r, const char *why)
+{
+    const bool known = r->service >= 1 && r->service <= SERVICES;
+    panel_desk_refuse(d, client, known ? services[r->service - 1].about.name : "a service call", why);
+    reply(client, panel_failure(r->service, r->call, why));
+}
+
+static void take_control(panel_desk *d, panel_client *client, const panel_request *r)
+{
+    char text[200];
+    panel_client *holder = d->operator_number ? d->o.find(d->o.user, d->operator_number) : NULL;
+    if (holder && holder != client) {
+        snprintf(text, sizeof text,
+                 "client %llu asks for control: ReleaseControl with to: %llu hands it over",
+                 (unsigned long long)client->number, (unsigned long long)client->number);
+        reply(holder, panel_status(PANEL_WARNING, text));
+        snprintf(text, sizeof text, "client %llu (%s) holds control; it was told that you ask for it",
+                 (unsigned long long)holder->number, holder->peer);
+        refuse_call(d, client, r, text);
+        return;
+    }
+    if (!note_control(d, client, "taken", client->number)) {
+        refuse_call(d, client, r, "the audit log cannot be written");
+        return;
+    }
+    give_control(d, client->number);
+    answer_control(d, client, r);
+}
+
+static void release_control(panel_desk *d, panel_client *client, const panel_request *r)
+{
+    const json_t *to = json_object_get(r->arguments, "to");
+    const json_int_t number = json_is_integer(to) ? json_integer_value(to) : 0;
+    const panel_client *next = number > 0 ? d->o.find(d->o.user, (uint64_t)number) : NULL;
+    if (to && !next)
+        refuse_call(d, client, r, "there is no client of that number to hand control to");
+    else if (!next && moves(d->phase))
+        refuse_call(d, client, r,
+                    "refused: work is under way; Abort it first, or hand control over with `to`");
+    else if (!note_control(d, client, next ? "handed over" : "released", next ? next->number : 0))
+        refuse_call(d, client, r, "the audit log cannot be written");
+    else {
+        give_control(d, next ? next->number : 0);
+        answer_control(d, client, r);
+    }
+}
+
+void panel_desk_leave(panel_desk *d, panel_client *client, const char *why)
+{
+    json_t *fields = about(client);
+    json_object_set_new(fields, "why", json_string(why));
+    json_object_set_new(fields, "sent", json_integer((json_int_t)client->box.sent));
+    json_object_set_new(fields, "skipped", json_integer((json_int_t)client->box.skipped));
+    panel_audit_stranger(d->o.audit, "disconnect", fields);
+    d->o.counts->sent += client->box.sent;
+    d->o.counts->skipped += client->box.skipped;
+    if (d->operator_number != client->number) return;
+    /* Whatever the log says: a machine that nobody leads is stopped. */
+    atomic_store(&d->o.link->stop, true);
+    (void)note_control(d, client, "lost: UserStop", 0);
+    give_control(d, 0);
+}
+
+/* ---- orders ---- */
+
+/* Written, then passed on. NULL, or why it was not. `order` is taken. */
+static const char *pass(panel_desk *d, const panel_client *client, const pending *waits, panel_order *order,
+                        json_t *fields)
+{
+    order->order = ++d->orders;
+    json_object_set_new(fields, "order", json_integer((json_int_t)order->order));
+    const char *why = d->pending_count == PENDING ? "too many orders wait for their answers" : NULL;
+    const bool stops = order->event == TD_EVENT_USER_STOP || order->event == TD_EVENT_ABORT ||
+                       order->event == TD_EVENT_PAUSE;
+    if (!why && !panel_audit_write(d->o.audit, "order", json_incref(fields)) && !stops)
+        why = "the audit log cannot be written";
+    json_decref(fields);
+    if (!why && !panel_ring_offer(&d->o.link->orders, order)) why = "the session takes no orders now";
+    if (why) {
+        free(order);
+        return why;
+    }
+    pending *p = d->pending + d->pending_count++;
+    *p = *waits;
+    p->order = d->orders;
+    p->client = client->number;
+    d->o.counts->orders++;
+    return NULL;
+}
+
+/* The arguments of a Jog. */
+static const char *read_jog(panel_order *o, const panel_desk *d, const json_t *arguments)
+{
+    const char *joint = json_string_value(json_object_get(arguments, "joint"));
+    const json_t *stick = json_object_get(arguments, "stick"), *for_s = json_object_get(arguments, "for_s");
+    o->joint = joint ? td_robot_find_joint(d->o.scenario->robot, joint) : -1;
+    if (o->joint < 0) return "joint: the robot has none of that name";
+    o->stick = json_number_value(stick);
+    if (!json_is_number(stick) || !(fabs(o->stick) <= 1)) return "stick: a number from -1 to 1";
+    o->for_s = json_number_value(for_s);
+    if (for_s && (!json_is_number(for_s) || !(o->for_s >= 0 && o->for_s <= 1)))
+        return "for_s: a number from 0 to 1";
+    return NULL;
+}
+
+static const char *check_keys(const service *s, const json_t *arguments)
+{
+    const char *key;
+    char blanks[64];
+    json_t *value;
+    json_object_foreach((json_t *)arguments, key, value)
+    {
+        snprintf(blanks, sizeof blanks, " %s ", key);
+        if (!s->keys || strlen(key) > 60 || strchr(key, ' ') || !strstr(s->keys, blanks))
+            return "an argument that this service has not";
+    }
+    return NULL;
+}
+
+static void call_order(panel_desk *d, panel_client *client, const panel_request *r)
+{
+    const service *s = services + r->service - 1;
+    panel_order *o = panel_link_fresh(&d->o.link->spent_orders, sizeof *o);
+    json_t *fields = about(client);
+    if (!o || !fields) {
+        free(o);
+        json_decref(fields);
+        refuse_call(d, client, r, "out of memory");
+        return;
+    }
+    o->event = s->event;
+    const char *why = s->event == TD_EVENT_JOG ? read_jog(o, d, r->arguments) : NULL;
+    json_object_set_new(fields, "request", json_string(s->about.name));
+    if (json_object_size(r->arguments)) json_object_set(fields, "arguments", r->arguments);
+    if (why) {
+        free(o);
+        json_decref(fields);
+    } else {
+        const pending waits = {.service = r->service, .call = r->call};
+        why = pass(d, client, &waits, o, fields);
+    }
+    if (why) refuse_call(d, client, r, why);
+}
+
+/* Calls of a connection rise in their numbers, so that one that was sent before is known. */
+static void call(panel_desk *d, panel_client *client, const panel_request *r)
+{
+    const bool again = client->called && r->call <= client->last_call;
+    if (again) {
+        refuse_call(d, client, r, "replayed: the numbers of a connection's calls must rise");
+        return;
+    }
+    client->called = true;
+    client->last_call = r->call;
+    if (r->service < 1 || r->service > SERVICES) {
+        refuse_call(d, client, r, "there is no service of that number");
+        return;
+    }
+    const char *why = check_keys(services + r->service - 1, r->arguments);
+    const bool takes = r->service == TAKE + 1;
+    if (!why && !takes && d->operator_number != client->number)
+        why = d->operator_number ? "another client holds control" : "nobody holds control: TakeControl first";
+    if (why)
+        refuse_call(d, client, r, why);
+    else if (takes)
+        take_control(d, client, r);
+    else if (r->service == RELEASE + 1)
+        release_control(d, client, r);
+    else
+        call_order(d, client, r);
+}
+
+/* ---- parameters ---- */
+
+static int find_parameter(const panel_desk *d, const char *name)
+{
+    for (int i = 0; i < d->o.parameter_count; i++)
+        if (strcmp(d->o.parameter[i].name, name) == 0) return i;
+    return -1;
+}
+
+/* Unknown ones are left out, as the protocol has it; no names: all. */
+static void get_parameters(panel_desk *d, panel_client *client, const panel_request *r)
+{
+    json_t *list = json_array();
+    const size_t count = json_array_size(r->parameters);
+    for (size_t i = 0; i < count; i++) {
+        const int p = find_parameter(d, json_string_value(json_array_get(r->parameters, i)));
+        if (p >= 0) json_array_append_new(list, panel_parameter_json(d->o.parameter + p));
+    }
+    for (int p = 0; count == 0 && p < d->o.parameter_count; p++)
+        json_array_append_new(list, panel_parameter_json(d->o.parameter + p));
+    reply(client, panel_parameter_values(list, r->id));
+}
+
+static void watch_parameters(panel_desk *d, panel_client *client, const panel_request *r)
+{
+    const size_t count = json_array_size(r->parameters);
+    const bool watches = r->op == PANEL_WATCH_PARAMETERS;
+    for (size_t i = 0; i < count; i++) {
+        const int p = find_parameter(d, json_string_value(json_array_get(r->parameters, i)));
+        if (p >= 0) client->watches[p] = watches;
+    }
+    for (int p = 0; count == 0 && p < d->o.parameter_count; p++) client->watches[p] = watches;
+}
+
+/* As it is: to who asked. */
+static void show_parameter(panel_desk *d, panel_client *client, int p, const char *id)
+{
+    json_t *list = json_array();
+    if (p >= 0) json_array_append_new(list, panel_parameter_json(d->o.parameter + p));
+    reply(client, panel_parameter_values(list, id));
+}
+
+static void set_parameter(panel_desk *d, panel_client *client, const json_t *item, const char *id)
+{
+    const char *name = json_string_value(json_object_get(item, "name")), *why = NULL;
+    const int p = find_parameter(d, name);
+    pending waits = {.parameter = p};
+    td_error error = {0};
+    snprintf(waits.id, sizeof waits.id, "%s", id);
+    if (d->operator_number != client->number)
+        why = d->operator_number ? "another client holds control" : "nobody holds control: TakeControl first";
+    else if (p < 0)
+        why = "there is no parameter of that name";
+    else if (panel_parameter_read(&waits.number, d->o.parameter + p, json_object_get(item, "value"),
+                                  &error) != TD_OK)
+        why = error.message;
+    panel_order *o = why ? NULL : panel_link_fresh(&d->o.link->spent_orders, sizeof *o);
+    if (!why && !o) why = "out of memory";
+    if (!why) {
+        json_t *fields = about(client);
+        *o = (panel_order){.event = TD_EVENT_COUNT, .parameter = p, .number = waits.number};
+        json_object_set_new(fields, "request", json_string("setParameters"));
+        json_object_set_new(fields, "parameter", json_string(name));
+        json_object_set(fields, "value", json_object_get(item, "value"));
+        why = pass(d, client, &waits, o, fields);
+    }
+    if (!why) return;
+    panel_desk_refuse(d, client, "setParameters", why);
+    reply(client, panel_status(PANEL_WARNING, why));
+    show_parameter(d, client, p, id);
+}
+
+typedef struct change {
+    panel_desk *desk;
+    int parameter;
+    const panel_client *but;
+} change;
+
+static void tell_change(panel_client *client, void *with)
+{
+    const change *c = with;
+    if (client->watches[c->parameter] && client != c->but) show_parameter(c->desk, client, c->parameter, "");
+}
+
+static void parameter_is_set(panel_desk *d, const pending *p, panel_client *client, const panel_news *news)
+{
+    if (news->accepted) panel_parameter_show(d->o.parameter + p->parameter, p->number);
+    if (client) {
+        if (!news->accepted) reply(client, panel_status(PANEL_WARNING, news->text));
+        show_parameter(d, client, p->parameter, p->id);
+    }
+    change c = {d, p->parameter, client};
+    if (news->accepted) d->o.each(d->o.user, tell_change, &c);
+}
+
+/* ---- what comes in ---- */
+
+void panel_desk_answer(panel_desk *d, const panel_news *news)
+{
+    size_t i = 0;
+    while (i < d->pending_count && d->pending[i].order != news->order) i++;
+    if (i == d->pending_count) return;
+    const pending p = d->pending[i];
+    d->pending[i] = d->pending[--d->pending_count];
+    panel_client *client = d->o.find(d->o.user, p.client);
+    (void)panel_audit_write(d->o.audit, "answer",
+                            json_pack("{s:I, s:I, s:b, s:s}", "order", (json_int_t)p.order, "client",
+                                      (json_int_t)p.client, "accepted", news->accepted, "answer",
+                                      news->text));
+    if (news->accepted)
+        d->o.counts->accepted++;
+    else
+        d->o.counts->refused++;
+    if (!p.service)
+        parameter_is_set(d, &p, client, news);
+    else if (client && news->accepted)
+        reply(client, panel_response(p.service, p.call, json_pack("{s:s}", "answer", news->text)));
+    else if (client)
+        reply(client, panel_failure(p.service, p.call, news->text));
+}
+
+static void subscribe(panel_desk *d, panel_client *client, const panel_request *r)
+{
+    for (size_t i = 0; i < r->count; i++) {
+        const panel_subscription *s = r->subscription + i;
+        if (s->channel < 1 || s->channel > d->o.channel_count)
+            fault(d, client, "subscribe", "there is no channel of that number");
+        else if (!panel_subscribe(&client->box, d->o.hub, s->id, (int)s->channel - 1))
+            fault(d, client, "subscribe", "that id is in use, or there are 64 subscriptions already");
+    }
+}
+
+static void unsubscribe(panel_desk *d, panel_client *client, const panel_request *r)
+{
+    for (size_t i = 0; i < r->count; i++)
+        if (!panel_unsubscribe(&client->box, r->subscription[i].id))
+            fault(d, client, "unsubscribe", "there is no subscription of that id");
+}
+
+void panel_desk_take(panel_desk *d, panel_client *client, const void *bytes, size_t size, bool binary)
+{
+    panel_request r;
+    td_error error = {0};
+    if (panel_request_parse(&r, bytes, size, binary, &error) != TD_OK) {
+        fault(d, client, "a message", error.message);
+        if (binary && r.op == PANEL_CALL && r.call)
+            reply(client, panel_failure(r.service, r.call, error.message));
+        return;
+    }
+    switch (r.op) {
+    case PANEL_SUBSCRIBE:
+        subscribe(d, client, &r);
+        break;
+    case PANEL_UNSUBSCRIBE:
+        unsubscribe(d, client, &r);
+        break;
+    case PANEL_GET_PARAMETERS:
+        get_parameters(d, client, &r);
+        break;
+    case PANEL_SET_PARAMETERS:
+        for (size_t i = 0; i < json_array_size(r.parameters); i++)
+            set_parameter(d, client, json_array_get(r.parameters, i), r.id);
+        break;
+    case PANEL_CALL:
+        call(d, client, &r);
+        break;
+    default:
+        watch_parameters(d, client, &r);
+        break;
+    }
+    panel_request_free(&r);
+}
