@@ -8,6 +8,7 @@ not known (tests/calib/test_hand_eye_real.c has its repeatability)."""
 import csv
 import json
 import os
+import re
 import tempfile
 
 import numpy as np
@@ -114,7 +115,9 @@ def test_lens():
           f"and taken in when asked for: {taken['cameras']}")
     check(taken["robot_noise"]["mm"] < 0.7 * held["robot_noise"]["mm"],
           f"the robot is blamed for less: {held['robot_noise']['mm']:.2f} mm, with the lens {taken['robot_noise']['mm']:.2f} mm")
-    check(not any("k1" in r for r in tag["reasons"]) and "held; its lens" in tag["cameras"] and "unsure by 3.4 %" in tag["cameras"],
+    # 3.4 % with tags searched for in the image as it is, 3.3 % in the logarithm of its light.
+    unsure = re.search(r"unsure by ([0-9.]+) %", tag["cameras"])
+    check(not any("k1" in r for r in tag["reasons"]) and "held; its lens" in tag["cameras"] and unsure and 3.2 <= float(unsure[1]) <= 3.5,
           f"too little to tell: nothing is taken in, sigma holds it: {tag['cameras']}")
     check("unsure" not in held["cameras"] and "unsure" not in taken["cameras"], "a lens that is told of, or taken in, is not unsure")
 
