@@ -1,5 +1,6 @@
 #!/bin/sh
-# Installs what is missing, builds, calibrates OpenCV's stereo pairs, reconstructs a real pair, predicts a motion. On Debian 12; can be run again and again.
+# Installs what is missing, builds, calibrates OpenCV's stereo pairs, reconstructs a real pair,
+# predicts a motion, and rehearses a trench in the closed loop. On Debian 12; can be run again and again.
 set -eu
 cd "$(dirname "$0")/.."
 . apps/install.sh
@@ -37,4 +38,7 @@ echo
 echo "== teledimos simulate datasets/zx200-motion -o out/motion"
 teledimos simulate datasets/zx200-motion -o out/motion
 echo
-echo "Done. Open the reports: $PWD/out/opencv-stereo/report.html, $PWD/out/aloe/report.html, $PWD/out/motion/report.html"
+echo "== teledimos rehearse datasets/zx200/trench.yaml -o out/trench"
+teledimos rehearse datasets/zx200/trench.yaml -o out/trench
+echo
+echo "Done. Open the reports: $PWD/out/opencv-stereo/report.html, $PWD/out/aloe/report.html, $PWD/out/trench/report.html"

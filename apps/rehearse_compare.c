@@ -180,7 +180,7 @@ td_status rehearse_compare(rehearse *r, td_error *error)
     if (!(r->planned_m3 > 0)) return TD_OK;
     r->dug_m3 = cut_between(r->true_before, r->true_after, NULL, &r->floor);
     r->volume.cut_m3 = r->sigma_volume_m3 = r->seen_share = r->dug_seen_m3 = NAN;
-    r->unseen_m2 = r->predicted_unseen_m3 = NAN;
+    r->unseen_m2 = r->predicted_unseen_m3 = r->measured_m3 = r->sigma_measured_m3 = NAN;
     if (!predicted) return TD_OK;
     corners(polygon, &r->floor);
     o.polygon = (const double(*)[2])polygon;
@@ -194,6 +194,9 @@ td_status rehearse_compare(rehearse *r, td_error *error)
     if (status == TD_ERROR_MEMORY) return td_fail(error, status, "%s", why.message);
     if (status != TD_OK) r->volume = (td_volume){.cut_m3 = NAN, .sigma_cut_m3 = NAN};
     r->sigma_volume_m3 = sigma_of_volume(r, seen);
+    r->measured_m3 = r->volume.cut_m3 + r->predicted_unseen_m3;
+    /* What the prediction is off is taken for the same in all of its cells. */
+    r->sigma_measured_m3 = hypot(r->sigma_volume_m3, r->scatter_m * r->unseen_m2);
     td_elevation_free(&seen);
     return TD_OK;
 }

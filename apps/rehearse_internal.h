@@ -142,6 +142,7 @@ typedef struct rehearse {
     double sigma_volume_m3;
     double unseen_m2, seen_share; /* around the trench: not seen since it was dug, taken as predicted */
     double dug_seen_m3, predicted_unseen_m3; /* in truth, where it is seen; as predicted, where it is not */
+    double measured_m3, sigma_measured_m3;   /* of the whole: volume and predicted_unseen_m3 */
     gate_result gate;
 } rehearse;
 

@@ -12,9 +12,10 @@ static void figures(td_report *r, const rehearse *x)
 {
     td_report_figures_begin(r);
     td_report_figure(r, "m³ dug, in truth", TD_TONE_PLAIN, "%.3f", x->dug_m3);
-    td_report_figure(r, "m³ of it where it is seen", TD_TONE_PLAIN, "%.3f", x->dug_seen_m3);
-    td_report_figure(r, "m³ measured there", TD_TONE_PLAIN, "%.3f", x->volume.cut_m3);
-    td_report_figure(r, "m³, its sigma", TD_TONE_PLAIN, "%.3f", x->sigma_volume_m3);
+    td_report_figure(r, "m³ measured", TD_TONE_PLAIN, "%.3f", x->measured_m3);
+    td_report_figure(r, "m³, its sigma", TD_TONE_PLAIN, "%.3f", x->sigma_measured_m3);
+    td_report_figure(r, "m³ of it not seen, taken as predicted", TD_TONE_PLAIN, "%.3f",
+                     x->predicted_unseen_m3);
     td_report_figure(r, "m³ predicted", TD_TONE_PLAIN, "%.3f", x->predicted_m3);
     td_report_figure(r, "m³ left of the trench", TD_TONE_PLAIN, "%.3f", x->left_m3);
     td_report_figure(r, "m, the map's rms error", TD_TONE_PLAIN, "%.3f", x->map_rms_m);

@@ -54,8 +54,10 @@ const td_schema_row rehearse_schema[] = {
     {"dug_volume_m3", TD_SCHEMA_REAL, true, false, "cut there in truth"},
     {"dug_seen_m3", TD_SCHEMA_REAL, true, true, "of it, where the last map has seen the ground since"},
     {"measured_volume_m3", TD_SCHEMA_REAL, true, true,
-     "cut there between the first map and the last, where it is seen"},
-    {"sigma_volume_m3", TD_SCHEMA_REAL, true, true, "of the measured volume"},
+     "cut there between the first map and the last: measured where it is seen, predicted where not"},
+    {"sigma_volume_m3", TD_SCHEMA_REAL, true, true, "of that, unseen ground as sure as its prediction was"},
+    {"measured_seen_m3", TD_SCHEMA_REAL, true, true, "of it, where it is seen"},
+    {"sigma_seen_m3", TD_SCHEMA_REAL, true, true, "of that"},
     {"seen_share", TD_SCHEMA_REAL, true, true, "of the area around the trench, seen since it was dug"},
     {"unseen_m2", TD_SCHEMA_REAL, true, true, "the rest of it: taken as predicted"},
     {"predicted_unseen_m3", TD_SCHEMA_REAL, true, true, "cut there, as simulated ahead"},
@@ -154,10 +156,13 @@ void rehearse_judge(rehearse *r, const gate_row *rows)
         "%.0f %% of the map's cells are further off the truth than their sigma: the rig is not as well "
         "known as its covariance says",
         100 * (1 - r->map_share));
-    const double off = fabs(r->volume.cut_m3 - r->dug_seen_m3);
-    gate_check(g, rows, rehearse_gate_count, "volume_sigma", off / r->sigma_volume_m3,
-               "the measured volume is %.3f m3 off the true one, its sigma is %.3f m3", off,
-               r->sigma_volume_m3);
+    const double off = fabs(r->measured_m3 - r->dug_m3), off_seen = fabs(r->volume.cut_m3 - r->dug_seen_m3);
+    gate_check(
+        g, rows, rehearse_gate_count, "volume_sigma",
+        fmax(off / r->sigma_measured_m3, off_seen / r->sigma_volume_m3),
+        "the measured volume is %.3f m3 off the true one, its sigma is %.3f m3; where it is seen, %.3f "
+        "and %.3f",
+        off, r->sigma_measured_m3, off_seen, r->sigma_volume_m3);
     gate_check(g, rows, rehearse_gate_count, "tip_sigma", tip.rms_m / tip.sigma_m,
                "the tool is %.3f m off its prediction, its sigma is %.3f m", tip.rms_m, tip.sigma_m);
     gate_check(g, rows, rehearse_gate_count, "monitor_sigma", deviation,
@@ -224,8 +229,10 @@ static void set_motion(json_t *root, const rehearse *r)
     set(root, "left_volume_m3", td_json_real(r->left_m3));
     set(root, "predicted_volume_m3", td_json_real(r->predicted_m3));
     set(root, "dug_volume_m3", td_json_real(r->dug_m3));
-    set(root, "measured_volume_m3", td_json_real(r->planned_m3 > 0 ? r->volume.cut_m3 : NAN));
-    set(root, "sigma_volume_m3", td_json_real(r->planned_m3 > 0 ? r->sigma_volume_m3 : NAN));
+    set(root, "measured_volume_m3", td_json_real(r->planned_m3 > 0 ? r->measured_m3 : NAN));
+    set(root, "sigma_volume_m3", td_json_real(r->planned_m3 > 0 ? r->sigma_measured_m3 : NAN));
+    set(root, "measured_seen_m3", td_json_real(r->planned_m3 > 0 ? r->volume.cut_m3 : NAN));
+    set(root, "sigma_seen_m3", td_json_real(r->planned_m3 > 0 ? r->sigma_volume_m3 : NAN));
     set(root, "dug_seen_m3", td_json_real(r->dug_seen_m3));
     set(root, "seen_share", td_json_real(r->seen_share));
     set(root, "unseen_m2", td_json_real(r->unseen_m2));
@@ -277,11 +284,11 @@ static void motion_table(const rehearse *r)
     printf("trench of %.3f m3: %.3f predicted, %.3f dug; %.3f left\n", r->planned_m3, r->predicted_m3,
            r->dug_m3, r->left_m3);
     if (isfinite(r->seen_share))
-        printf(
-            "where it is seen (%.0f %%): %.3f +- %.3f m3 measured, %.3f dug; unseen: %.3f m3 predicted, %.3f "
-            "dug\n",
-            100 * r->seen_share, r->volume.cut_m3, r->sigma_volume_m3, r->dug_seen_m3, r->predicted_unseen_m3,
-            r->dug_m3 - r->dug_seen_m3);
+        printf("measured: %.3f +- %.3f m3; where it is seen (%.0f %%): %.3f +- %.3f m3 measured, %.3f dug; "
+               "unseen: %.3f m3 predicted, %.3f "
+               "dug\n",
+               r->measured_m3, r->sigma_measured_m3, 100 * r->seen_share, r->volume.cut_m3,
+               r->sigma_volume_m3, r->dug_seen_m3, r->predicted_unseen_m3, r->dug_m3 - r->dug_seen_m3);
     printf("tool %.3f m off its prediction (%.3f at most), sigma %.3f m; its height above the ground %.3f m "
            "off, "
            "sigma %.3f m; clearance %.2f m, contact %.2g; mass off by %g kg\n",

@@ -19,8 +19,10 @@ static void keep(seeds_row *row, const rehearse *r)
     row->verdict = r->gate.verdict;
     snprintf(row->why, sizeof row->why, "%s", r->stopped ? r->why : "");
     for (int i = 0; i < r->round_count; i++) row->rounds += r->round[i].executed;
-    row->measured_m3 = r->volume.cut_m3;
-    row->sigma_m3 = r->sigma_volume_m3;
+    row->measured_m3 = r->measured_m3;
+    row->sigma_m3 = r->sigma_measured_m3;
+    row->measured_seen_m3 = r->volume.cut_m3;
+    row->sigma_seen_m3 = r->sigma_volume_m3;
     row->dug_seen_m3 = r->dug_seen_m3;
     row->dug_m3 = r->dug_m3;
     row->seen_share = r->seen_share;
@@ -91,17 +93,18 @@ static void sum_up(seeds_sum *sum, const seeds_row *row, size_t count, double *s
                               scratch + 4 * count};
     for (size_t i = 0; i < count; i++) {
         const seeds_row *o = row + i;
-        const double off = fabs(o->measured_m3 - o->dug_seen_m3);
+        const double off = fabs(o->measured_m3 - o->dug_m3),
+                     off_seen = fabs(o->measured_seen_m3 - o->dug_seen_m3);
         sum->ended += o->ended;
-        sum->within_5 += o->ended && off <= 0.05 * o->dug_seen_m3;
-        sum->within_2_sigma += o->ended && off <= 2 * o->sigma_m3;
+        sum->within_5 += o->ended && off <= 0.05 * o->dug_m3 && off_seen <= 0.05 * o->dug_seen_m3;
+        sum->within_2_sigma += o->ended && off <= 2 * o->sigma_m3 && off_seen <= 2 * o->sigma_seen_m3;
         sum->unmeant += o->unmeant;
         sum->mass_most_kg = fmax(sum->mass_most_kg, fabs(o->mass_error_kg));
         value[0][i] = o->tip.rms_m;
         value[1][i] = o->tip.sigma_m;
         value[2][i] = o->tip.above_m;
         value[3][i] = o->tip.sigma_above_m;
-        value[4][i] = off / o->dug_seen_m3;
+        value[4][i] = off / o->dug_m3;
     }
     sum->tip_median_m = median(value[0], count);
     sum->sigma_tip_median_m = median(value[1], count);

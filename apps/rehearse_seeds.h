@@ -11,8 +11,10 @@ typedef struct seeds_row {
     bool ended;        /* not stopped */
     char why[600];
     verdict verdict;
-    int rounds; /* executed */
-    double measured_m3, sigma_m3, dug_seen_m3, dug_m3, seen_share;
+    int rounds;                                          /* executed */
+    double measured_m3, sigma_m3, dug_m3;                /* whole */
+    double measured_seen_m3, sigma_seen_m3, dug_seen_m3; /* where it is seen */
+    double seen_share;
     rehearse_tip tip;
     double rig_sigmas, probability, mass_error_kg, real_time, cpu_s;
     int unmeant, misses;

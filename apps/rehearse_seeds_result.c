@@ -31,8 +31,8 @@ const td_schema_row seeds_schema[] = {
     {"covariances[].seeds", TD_SCHEMA_INT, true, false, "rehearsals"},
     {"covariances[].ended", TD_SCHEMA_INT, true, false, "of them: came to their end"},
     {"covariances[].volume_within_5_percent", TD_SCHEMA_INT, true, false,
-     "of the true one, where it is seen"},
-    {"covariances[].volume_within_2_sigma", TD_SCHEMA_INT, true, false, "of it"},
+     "of the true one, both of the whole and of what is seen"},
+    {"covariances[].volume_within_2_sigma", TD_SCHEMA_INT, true, false, "the same"},
     {"covariances[].volume_error_median", TD_SCHEMA_REAL, true, true, "of the true volume, absolute"},
     {"covariances[].tip_error_median_m", TD_SCHEMA_REAL, true, true, "of the seeds' rms"},
     {"covariances[].sigma_tip_median_m", TD_SCHEMA_REAL, true, true, "as predicted"},
@@ -46,10 +46,12 @@ const td_schema_row seeds_schema[] = {
     {"seeds[].verdict", TD_SCHEMA_STRING, true, false, "of the rehearsal"},
     {"seeds[].stopped", TD_SCHEMA_STRING, true, true, "why; null: it came to its end"},
     {"seeds[].rounds", TD_SCHEMA_INT, true, false, "executed"},
-    {"seeds[].measured_volume_m3", TD_SCHEMA_REAL, true, true, "where it is seen"},
+    {"seeds[].measured_volume_m3", TD_SCHEMA_REAL, true, true, "where it is seen, and predicted elsewhere"},
     {"seeds[].sigma_volume_m3", TD_SCHEMA_REAL, true, true, "of it"},
+    {"seeds[].dug_volume_m3", TD_SCHEMA_REAL, true, false, "in truth"},
+    {"seeds[].measured_seen_m3", TD_SCHEMA_REAL, true, true, "where it is seen"},
+    {"seeds[].sigma_seen_m3", TD_SCHEMA_REAL, true, true, "of it"},
     {"seeds[].dug_seen_m3", TD_SCHEMA_REAL, true, true, "in truth, there"},
-    {"seeds[].dug_volume_m3", TD_SCHEMA_REAL, true, false, "in truth, everywhere"},
     {"seeds[].seen_share", TD_SCHEMA_REAL, true, true, "of the area around the trench"},
     {"seeds[].tip_error_m", TD_SCHEMA_REAL, true, true, "rms"},
     {"seeds[].sigma_tip_m", TD_SCHEMA_REAL, true, true, "as predicted"},
@@ -120,8 +122,10 @@ static json_t *row_json(const seeds_row *w)
     set(o, "rounds", json_integer(w->rounds));
     set(o, "measured_volume_m3", td_json_real(w->measured_m3));
     set(o, "sigma_volume_m3", td_json_real(w->sigma_m3));
-    set(o, "dug_seen_m3", td_json_real(w->dug_seen_m3));
     set(o, "dug_volume_m3", td_json_real(w->dug_m3));
+    set(o, "measured_seen_m3", td_json_real(w->measured_seen_m3));
+    set(o, "sigma_seen_m3", td_json_real(w->sigma_seen_m3));
+    set(o, "dug_seen_m3", td_json_real(w->dug_seen_m3));
     set(o, "seen_share", td_json_real(w->seen_share));
     set(o, "tip_error_m", td_json_real(w->tip.rms_m));
     set(o, "sigma_tip_m", td_json_real(w->tip.sigma_m));
@@ -165,7 +169,7 @@ void seeds_table(const void *done)
     for (size_t i = 0; i < s->count; i++) {
         const seeds_row *w = s->row + i;
         printf("%4llu %6g %9.3f %7.3f %8.3f %7.3f %7.3f %7.3f %7.3f %8.2f %9.1g %7d  %s\n",
-               (unsigned long long)w->seed, w->covariance, w->measured_m3, w->sigma_m3, w->dug_seen_m3,
+               (unsigned long long)w->seed, w->covariance, w->measured_m3, w->sigma_m3, w->dug_m3,
                w->tip.rms_m, w->tip.sigma_m, w->tip.above_m, w->tip.sigma_above_m, w->rig_sigmas,
                w->mass_error_kg, w->unmeant, w->why);
     }
@@ -198,14 +202,16 @@ td_status seeds_write(const seeds *s, const char *folder, td_error *error)
         free(path);
         return td_fail(error, TD_ERROR_MEMORY, "no memory for a table");
     }
-    fputs("seed,rig_covariance_times,ended,rounds,measured_m3,sigma_m3,dug_seen_m3,dug_m3,seen_share,tip_m,"
+    fputs("seed,rig_covariance_times,ended,rounds,measured_m3,sigma_m3,dug_m3,measured_seen_m3,sigma_seen_m3,"
+          "dug_seen_m3,seen_share,tip_m,"
           "sigma_tip_m,tip_above_m,sigma_tip_above_m,rig_sigmas,mass_error_kg,unmeant_contacts\n",
           f);
     for (size_t i = 0; i < s->count; i++) {
         const seeds_row *w = s->row + i;
-        const double value[] = {w->measured_m3,       w->sigma_m3,   w->dug_seen_m3,  w->dug_m3,
-                                w->seen_share,        w->tip.rms_m,  w->tip.sigma_m,  w->tip.above_m,
-                                w->tip.sigma_above_m, w->rig_sigmas, w->mass_error_kg};
+        const double value[] = {
+            w->measured_m3,       w->sigma_m3,   w->dug_m3,       w->measured_seen_m3, w->sigma_seen_m3,
+            w->dug_seen_m3,       w->seen_share, w->tip.rms_m,    w->tip.sigma_m,      w->tip.above_m,
+            w->tip.sigma_above_m, w->rig_sigmas, w->mass_error_kg};
         fprintf(f, "%llu,%g,%d,%d", (unsigned long long)w->seed, w->covariance, w->ended, w->rounds);
         for (size_t k = 0; k < sizeof value / sizeof *value; k++) put(f, value[k]);
         fprintf(f, ",%d\n", w->unmeant);
@@ -252,7 +258,7 @@ static void report_rows(td_report *r, const seeds *s)
         td_report_cell(r, TD_TONE_PLAIN, "%llu", (unsigned long long)w->seed);
         td_report_cell(r, TD_TONE_PLAIN, "%g", w->covariance);
         td_report_cell(r, TD_TONE_PLAIN, "%.3f ± %.3f", w->measured_m3, w->sigma_m3);
-        td_report_cell(r, TD_TONE_PLAIN, "%.3f", w->dug_seen_m3);
+        td_report_cell(r, TD_TONE_PLAIN, "%.3f", w->dug_m3);
         td_report_cell(r, TD_TONE_PLAIN, "%.3f", w->tip.rms_m);
         td_report_cell(r, TD_TONE_PLAIN, "%.3f", w->tip.sigma_m);
         td_report_cell(r, TD_TONE_PLAIN, "%.3f", w->tip.above_m);

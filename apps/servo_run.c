@@ -334,23 +334,27 @@ static td_status first_looks(bool *seen, runner *r, td_error *error)
     return TD_OK;
 }
 
-/* Covariance (3,3) of the tip's error where the corners of both targets have this sigma. */
-static bool tip_covariance(double covariance[9], const runner *r, double corner_px)
+/* Covariance (3,3) of the tip's error where the corners of both targets have this sigma. A board that is
+ * believed elsewhere moves the goal as a camera would that stands elsewhere, and the arm goes after it as far
+ * as it can. */
+static bool tip_covariance(double covariance[9], runner *r, double corner_px)
 {
     td_servo_sigma sigma;
     const double origin[3] = {0};
-    double wanted[3], by_board[18];
+    const int lens = td_camera_parameter_count(servo_view_camera(r->view)->model), n = lens + 12;
+    double *board = calloc((size_t)n * (size_t)n, sizeof *board);
+    if (!board) return false;
+    for (int i = 0; i < 6; i++)
+        memcpy(board + (lens + i) * n + lens, r->board_image + 6 * i, 6 * sizeof *board);
     const td_servo_sight sight = sight_of_bucket(&r->look.bucket);
-    wanted_tip(wanted, r, &r->root_from_board);
-    td_pose_transform_jacobian(by_board, wanted);
-    if (td_visual_servo_sigma(&sigma, &r->servo, r->state.q, &sight, r->s->tool, origin, NULL, NULL) !=
-            TD_OK ||
-        td_sandwich(covariance, by_board, r->board_image, 3, 6, NULL) != TD_OK)
-        return false;
-    for (int i = 0; i < 9; i++)
+    const bool known =
+        aim(r, NULL) == TD_OK && td_visual_servo_sigma(&sigma, &r->servo, r->state.q, &sight, r->s->tool,
+                                                       origin, board, NULL) == TD_OK;
+    free(board);
+    for (int i = 0; i < 9 && known; i++)
         covariance[i] =
-            corner_px * corner_px * (covariance[i] + sigma.image[i] / r->look.bucket.variance_px2);
-    return true;
+            corner_px * corner_px * (sigma.common[i] + sigma.image[i] / r->look.bucket.variance_px2);
+    return known;
 }
 
 static void judge_tip(runner *r)
