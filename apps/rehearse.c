@@ -19,8 +19,8 @@ static cli_option options[] = {
      "them: seeds.csv",
      1, SEEDS_MOST, NULL},
     {CLI_LIST, "rig-covariance", 0, &covariances, "TIMES",
-     "the rig's covariance is so many times what the rig says, as it is believed and as the truth is drawn "
-     "from; with --seeds it may be repeated: a row of the table each. 0: known exactly",
+     "the rig's covariance is so many times what it is in the rehearsal's file, as it is believed and as the "
+     "truth is drawn from; with --seeds it may be repeated: a row of the table each. 0: known exactly",
      0, 0, NULL},
     {CLI_STRING, "replay", 0, &replay_path, "MCAP",
      "an earlier recording.mcap of the same rehearsal: its seed and covariance, so the same bytes", 0, 0,
@@ -58,7 +58,8 @@ static cli_command command = {
         "Sigma of the monitor are those of the same task done by further draws.\n\n"
         "Where soil was moved the map is what has been seen since; what no pose sees is taken as predicted, "
         "and "
-        "the measured volume is of what is seen, beside the true one there. The rig is checked by the "
+        "measured_volume_m3 is of what is seen and, where nothing is, of what was predicted: their shares "
+        "stand beside it, and the true volumes. The rig is checked by the "
         "epipolar "
         "lines of each place's first pair, and by all pairs of a look together against its own covariance "
         "(rig_sigmas: about 1). A rig that is not the head's, a dark camera, too few matches, a map with "
@@ -73,12 +74,13 @@ static cli_command command = {
         "calibration's. recording.mcap holds all that was executed; with --replay it gives the same bytes of "
         "all products but result.yaml, report.html and log.jsonl, which tell computing times.\n\n"
         "Exit status: 0 done, 1 failed, 2 wrong usage, 3 the gate refuses the result (--accept).",
-    .examples = "  teledimos rehearse datasets/zx200/trench.yaml -o rehearsed\n"
-                "  teledimos rehearse datasets/zx200/trench.yaml -o other --seed 7\n"
-                "  teledimos rehearse datasets/zx200/trench.yaml -o again --replay other/recording.mcap\n"
-                "  teledimos rehearse datasets/zx200/trench.yaml -o twenty --seeds 20\n"
-                "  teledimos rehearse datasets/zx200/trench.yaml -o chain --seeds 4 --rig-covariance 0 "
-                "--rig-covariance 1 --rig-covariance 4 --rig-covariance 16\n",
+    .examples =
+        "  teledimos rehearse datasets/zx200/trench.yaml -o rehearsed\n"
+        "  teledimos rehearse datasets/zx200/trench.yaml -o other --seed 7\n"
+        "  teledimos rehearse datasets/zx200/trench.yaml -o again --replay other/recording.mcap\n"
+        "  teledimos rehearse datasets/zx200/trench.yaml -o twenty --seeds 20\n"
+        "  teledimos rehearse datasets/zx200/trench-chain.yaml -o chain --seeds 12 --rig-covariance 0 "
+        "--rig-covariance 1 --rig-covariance 4 --rig-covariance 16\n",
     .option = options,
     .option_count = sizeof options / sizeof *options,
     .least = 0,
@@ -156,7 +158,7 @@ static td_status run(rehearse *r, rehearse_setup *setup, job *j)
     TD_TRY(rehearse_read(setup, &r->scenario, scenario_path, &j->error));
     double times[SEEDS_MOST_COVARIANCES];
     TD_TRY(read_covariances(times, &j->error));
-    if (covariances.count) setup->truth.rig_covariance = times[0];
+    if (covariances.count) setup->truth.rig_covariance *= times[0];
     r->setup = setup;
     r->seed = (uint64_t)common.seed;
     if (replay_path && seed_count)

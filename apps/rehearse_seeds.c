@@ -44,12 +44,12 @@ static td_status one(seeds_row *row, seeds *s, const char *path, uint64_t seed, 
     td_status status = r && setup ? rehearse_read(setup, &r->scenario, path, error)
                                   : td_fail(error, TD_ERROR_MEMORY, "no memory for a rehearsal");
     if (status == TD_OK) {
-        if (isfinite(covariance)) setup->truth.rig_covariance = covariance;
+        setup->truth.rig_covariance *= covariance;
         r->setup = setup;
         r->seed = seed;
         r->threads = threads;
         r->progress = progress;
-        *row = (seeds_row){.seed = seed, .covariance = setup->truth.rig_covariance};
+        *row = (seeds_row){.seed = seed, .covariance = covariance};
         if (!s->name[0]) {
             snprintf(s->name, sizeof s->name, "%s", setup->name);
             snprintf(s->scenario, sizeof s->scenario, "%s", r->scenario.name);
@@ -125,7 +125,7 @@ td_status seeds_run(seeds *s, const char *path, uint64_t first, int count, const
             if (!td_progress_report(progress, "rehearsing", c * rows + i, rows * sums))
                 status = td_fail(error, TD_ERROR_CANCELLED, "interrupted");
             if (status == TD_OK)
-                status = one(s->row + s->count, s, path, first + i, covariances ? covariance[c] : NAN,
+                status = one(s->row + s->count, s, path, first + i, covariances ? covariance[c] : 1,
                              threads, NULL, error);
             s->count += status == TD_OK;
         }

@@ -6,9 +6,9 @@
  * moves the camera and the bucket together, is a freedom as the others are.
  *
  * Corners are off by noise, new in each image, and more than that by what their places in the image do to the
- * detector, which is the same as long as nothing moves, so that neither the loop nor the board's memory
- * averages it out. The residuals of both targets have both, and enter the tip's sigma whole, as if all were
- * the same in each image.
+ * detector, which is the same as long as nothing moves, so that the loop does not average it out; of the
+ * board's memory that is one look, however many, in which its corners stayed within STILL_PX. The residuals
+ * of both targets have both, and enter the tip's sigma as if all were the same while nothing moves.
  *
  * A command is given a period after its image was taken: seeing takes time. */
 #include <math.h>
@@ -22,7 +22,7 @@
 #include "core/linalg.h"
 #include "core/number.h"
 
-static const double MEMORY_S = 2, REST_S = 1.5;
+static const double MEMORY_S = 2, REST_S = 1.5, STILL_PX = 0.25;
 static const double OUT_OF_REACH_M = 0.1; /* beyond what a machine that stands askew leaves */
 enum { FIRST_LOOKS = 5 };
 
@@ -42,7 +42,10 @@ typedef struct runner {
     double rate[TD_ROBOT_MAX_JOINTS], last_rate[TD_ROBOT_MAX_JOINTS];
     size_t boards; /* seen */
     td_pose root_from_board;
-    double board_image[36]; /* covariance of its left perturbation, were the corners' sigma 1 px */
+    double board_image[36]; /* covariance of one look's left perturbation, were the corners' sigma 1 px */
+    /* Of its memory: the corners' places since when they have not moved, the weight of the looks since then,
+     * and the sum of the squares of the weights of the times before. */
+    double still_px[TD_SERVO_MAX_POINTS][2], still_weight, before_squares;
     double residual_px2[2], freedoms[2]; /* of bucket and board: sums over the looks, with that memory */
     double see_s;
     size_t looks;
@@ -62,6 +65,24 @@ bool servo_met(const servo_run *run)
 
 /* ---- the goal ---- */
 
+static void weigh_look(runner *r, double share)
+{
+    const servo_points *board = &r->look.board;
+    bool still = r->boards > 1;
+    for (int i = 0; i < board->count && still; i++)
+        if (board->seen[i])
+            still = hypot(board->pixel[i][0] - r->still_px[i][0], board->pixel[i][1] - r->still_px[i][1]) <=
+                    STILL_PX;
+    r->still_weight *= 1 - share;
+    r->before_squares *= (1 - share) * (1 - share);
+    if (!still) {
+        memcpy(r->still_px, board->pixel, sizeof r->still_px);
+        r->before_squares += r->still_weight * r->still_weight;
+        r->still_weight = 0;
+    }
+    r->still_weight += share;
+}
+
 static void average_board(runner *r)
 {
     const servo_points *board = &r->look.board;
@@ -74,6 +95,7 @@ static void average_board(runner *r)
     for (int i = 0; i < 36; i++) r->board_image[i] = covariance[i] / board->variance_px2;
     const double least = r->s->options.limits.period_s / MEMORY_S,
                  share = fmin(1, fmax(1.0 / (double)++r->boards, least));
+    weigh_look(r, share);
     if (r->boards == 1) r->root_from_board = seen;
     const td_pose back = td_pose_inverse(&r->root_from_board), way = td_pose_compose(&seen, &back);
     td_pose_log(xi, &way);
@@ -351,9 +373,10 @@ static bool tip_covariance(double covariance[9], runner *r, double corner_px)
         aim(r, NULL) == TD_OK && td_visual_servo_sigma(&sigma, &r->servo, r->state.q, &sight, r->s->tool,
                                                        origin, board, NULL) == TD_OK;
     free(board);
+    const double memory = r->before_squares + r->still_weight * r->still_weight;
     for (int i = 0; i < 9 && known; i++)
         covariance[i] =
-            corner_px * corner_px * (sigma.common[i] + sigma.image[i] / r->look.bucket.variance_px2);
+            corner_px * corner_px * (memory * sigma.common[i] + sigma.image[i] / r->look.bucket.variance_px2);
     return known;
 }
 
