@@ -11,7 +11,7 @@
 
 #include <stdatomic.h>
 
-#include "apps/panel_audit.h"
+#include "apps/audit.h"
 #include "apps/panel_hub.h"
 #include "apps/panel_ring.h"
 #include "apps/simulate_task.h"
@@ -142,7 +142,7 @@ typedef struct panel_desk_options {
     int parameter_count;
     panel_link *link;
     panel_hub *hub;
-    panel_audit *audit;
+    audit *audit;
     panel_counts *counts;
     const td_mcap_channel *channel; /* as advertised */
     size_t channel_count;
