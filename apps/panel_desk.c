@@ -104,6 +104,11 @@ void panel_desk_phase(panel_desk *desk, td_phase phase)
     desk->phase = phase;
 }
 
+void panel_desk_note(panel_desk *desk, const char *what, json_t *fields)
+{
+    (void)audit_write(desk->o.audit, what, fields);
+}
+
 /* ---- telling ---- */
 
 static void close_for(panel_client *client, const char *why)

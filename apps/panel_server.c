@@ -489,7 +489,8 @@ td_status panel_server_new(panel_server **server, panel_link *link, const scenar
 {
     panel_server *s = *server = calloc(1, sizeof *s);
     if (!s) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
-    s->feed = (panel_feed){.link = link, .scenario = sc, .log = log, .counts = &s->counts};
+    s->feed = (panel_feed){
+        .link = link, .scenario = sc, .log = log, .counts = &s->counts, .machine = options->machine};
     s->options = *options;
     atomic_init(&s->stop, false);
     s->door = (panel_door){.local = panel_door_is_local(options->host),
