@@ -24,7 +24,7 @@ import time
 
 import numpy
 
-from common import PROGRAM, SANITIZED, SOURCE, check, finish, run, skip
+from common import PROGRAM, SANITIZED, SOURCE, check, finish, run, schema_fault, skip
 from websocket import Client
 
 try:
@@ -178,6 +178,8 @@ def figures(client):
     image = client.newest("/camera/left")
     check(image["format"] == "jpeg" and base64.b64decode(image["data"])[:2] == b"\xff\xd8", "as JPEG")
     check(client.until(lambda: (client.newest("/link").get("image_age_s") or 99) < 5, 5), "and their age is told")
+    faults = [schema_fault(client.newest(topic), json.loads(client.channels[topic]["schema"]), topic) for topic in client.latest]
+    check(len(faults) >= 16 and not any(faults), f"{len(faults)} channels' messages are of their schemas: {[f for f in faults if f]}")
     d = client.newest("/diagnostics")
     busy = SANITIZED or os.getloadavg()[0] > os.cpu_count()
     check(busy or not URGENT or d["misses"] <= 0.02 * d["ticks"], f"deadlines missed: {d['misses']} of {d['ticks']}")
