@@ -6,6 +6,7 @@
 
 #include "apps/aside.h"
 #include "apps/audit.h"
+#include "apps/machine_model.h"
 #include "apps/simulate_task.h"
 #include "core/machine_messages.h"
 #include "core/scene.h"
@@ -38,9 +39,6 @@ td_status machine_serve(const machine_options *o, terminal *term, td_error *erro
 td_status machine_master(const machine_options *o, terminal *term, bool *refused, td_error *error);
 
 /* ---- a task, simulated ---- */
-
-/* SHA-256 of the robot's files and of how it is controlled: two that agree simulate the same machine. */
-td_status machine_model(char hex[TD_HASH_HEX_SIZE], const scenario *s, td_error *error);
 
 typedef struct machine_verdict {
     td_machine_validation validation;

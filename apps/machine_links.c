@@ -118,7 +118,7 @@ static void welcome(machine *m, td_link *link, bool is_operator)
 static void meet_master(machine *m, td_link *link)
 {
     if (m->master) {
-        audit_stranger(&m->audit, "refused", "%s: a second operator", td_link_peer(link));
+        audit_stranger(&m->audit, "refused", audit_text("%s: a second operator", td_link_peer(link)));
         welcome(m, link, false);
         answer_to(link, &m->audit, TD_MACHINE_ORDER, TD_ORDER_EXECUTE, false, "another operator commands");
         td_link_poll(link, td_machine_now_s());
@@ -141,8 +141,8 @@ static void meet_pictures(machine *m, td_link *link)
     const bool his = m->master && td_link_channel(link) == TD_MACHINE_IMAGES &&
                      CRYPTO_memcmp(td_link_session(link), m->session, sizeof m->session) == 0;
     if (!his) {
-        audit_stranger(&m->audit, "refused", "%s: a link for images of no session under way",
-                       td_link_peer(link));
+        audit_stranger(&m->audit, "refused",
+                       audit_text("%s: a link for images of no session under way", td_link_peer(link)));
         td_link_free(&link);
         return;
     }
@@ -159,15 +159,15 @@ static void let_in(machine *m, double now_s)
         td_error error = {0};
         int place = 0;
         if (td_link_accept(&link, m->listener, now_s, &error) != TD_OK)
-            audit_stranger(&m->audit, "trouble", "%s", error.message);
+            audit_stranger(&m->audit, "trouble", audit_text("%s", error.message));
         if (!link) return;
         while (place < MACHINE_PENDING && m->pending[place]) place++;
         if (place < MACHINE_PENDING) {
             m->pending[place] = link;
             continue;
         }
-        audit_stranger(&m->audit, "refused", "%s: %d others are at the door", td_link_peer(link),
-                       MACHINE_PENDING);
+        audit_stranger(&m->audit, "refused",
+                       audit_text("%s: %d others are at the door", td_link_peer(link), MACHINE_PENDING));
         td_link_free(&link);
     }
 }
@@ -177,7 +177,8 @@ static void hear_stranger(machine *m, td_link **place, double now_s)
     td_link *link = *place;
     td_link_poll(link, now_s);
     if (td_link_state_of(link) == TD_LINK_CLOSED) {
-        audit_stranger(&m->audit, "refused", "%s: %s", td_link_peer(link), td_link_why(link, NULL));
+        audit_stranger(&m->audit, "refused",
+                       audit_text("%s: %s", td_link_peer(link), td_link_why(link, NULL)));
         td_link_free(place);
     } else if (td_link_state_of(link) == TD_LINK_OPEN) {
         *place = NULL;

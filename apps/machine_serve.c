@@ -350,7 +350,7 @@ static void end(machine *m, td_status status, const td_error *error)
 
 static td_status open_audit(machine *m, td_error *error)
 {
-    static char path[1200];
+    char path[1200];
     if (!m->o->common->output) return TD_OK;
     TD_TRY(td_folder_make(m->o->common->output, error));
     snprintf(path, sizeof path, "%s/audit.jsonl", m->o->common->output);

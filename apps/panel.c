@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "apps/machine_model.h"
 #include "apps/panel_door.h"
 #include "apps/panel_internal.h"
 #include "core/document.h"
@@ -15,6 +16,7 @@ static cli_list origins;
 static bool insecure;
 static int port = -1, most_clients = 256;
 static double for_s;
+static machine_address far = {.period_s = 0.1};
 
 static cli_option options[] = {
     {CLI_INT, "port", 0, &port, "N", "of 127.0.0.1; 0: any free one; default 8765", 0, 65535, NULL},
@@ -36,6 +38,8 @@ static cli_option options[] = {
     {CLI_STRING, "on-miss", 0, &on_miss, "POLICY",
      "what a missed deadline does: stop, catch-up (late ticks follow at once) or slip (time falls behind)", 0,
      0, task_miss_names},
+    {.type = CLI_HEADING, .name = "The machine that does it"},
+    MACHINE_ADDRESS_OPTIONS(far),
     CLI_COMMON_OPTIONS(common, "folder for the products: recording.mcap, audit.jsonl, result.yaml, log.jsonl",
                        "nothing is drawn"),
 };
@@ -129,6 +133,7 @@ typedef struct panel {
     panel_link link;
     panel_counts counts;
     uint64_t dropped;
+    panel_machine *machine;
 } panel;
 
 /* ---- the result ---- */
@@ -248,7 +253,7 @@ static td_status lead(panel *p, job *j)
     static const task_inputs none = {.end = -1}; /* the operator's, not the scenario's */
     struct live *live = NULL;
     td_status status =
-        panel_live_begin(&live, &p->link, &p->scenario, p->parameter, p->options.for_s, j->log, &j->error);
+        panel_live_begin(&live, &p->link, &p->scenario, p->parameter, &p->options, j->log, &j->error);
     if (status == TD_OK)
         status = task_run_session(&p->run, &p->scenario, p->scenario.options.base, &none, live, &j->progress,
                                   &j->error);
@@ -268,7 +273,9 @@ static td_status serve(panel *p, job *j)
         if (insecure && !panel_door_is_local(p->options.host))
             td_log_write(&j->log, TD_LOG_WARNING, "panel",
                          "without TLS: the token and all orders can be read and changed on their way");
-        status = lead(p, j);
+        if (p->machine) status = panel_machine_start(p->machine, p->link.wake, p->link.user, &j->error);
+        if (status == TD_OK) status = lead(p, j);
+        panel_machine_stop(p->machine);
         const td_status finished = panel_server_finish(&server, &p->counts, p->run.input.end, p->run.time_s,
                                                        status == TD_OK ? &j->error : NULL);
         if (status == TD_OK) status = finished;
@@ -279,10 +286,24 @@ static td_status serve(panel *p, job *j)
     return status;
 }
 
+static td_status find_machine(panel *p, td_error *error)
+{
+    char model[TD_HASH_HEX_SIZE];
+    const scenario *s = &p->scenario;
+    if (!far.at) return TD_OK;
+    if (!s->has_ground)
+        return td_fail(error, TD_ERROR_DATA, "%s: a machine's scenario has a ground", s->path);
+    TD_TRY(machine_model(model, s, error));
+    TD_TRY(panel_machine_new(&p->machine, &far, model, s->robot->joint_count, s->period_s, error));
+    p->options.machine = p->machine;
+    return TD_OK;
+}
+
 static td_status run(panel *p, job *j)
 {
     TD_TRY(read_options(p, &j->error));
     TD_TRY(read_scenario(p, j));
+    TD_TRY(find_machine(p, &j->error));
     TD_TRY(serve(p, j));
     (void)terminal_take_interrupt(); /* that is how it ends */
     const job_output output = {NULL, table, p};
@@ -302,6 +323,7 @@ int main(int argc, char **argv)
                      td_fault_text(p->run.fault));
     code = job_end(&j, status, broke);
     if (p) {
+        panel_machine_free(&p->machine);
         scenario_free(&p->scenario);
         task_run_free(&p->run);
     }

@@ -104,6 +104,11 @@ void panel_desk_phase(panel_desk *desk, td_phase phase)
     desk->phase = phase;
 }
 
+void panel_desk_note(panel_desk *desk, const char *what, json_t *fields)
+{
+    (void)audit_write(desk->o.audit, what, fields);
+}
+
 /* ---- telling ---- */
 
 static void close_for(panel_client *client, const char *why)
@@ -128,9 +133,9 @@ void panel_desk_refuse(panel_desk *d, panel_client *client, const char *what, co
     json_object_set_new(fields, "request", json_string(what));
     json_object_set_new(fields, "why", json_string(why));
     if (client->number == d->operator_number)
-        (void)panel_audit_write(d->o.audit, "refused", fields);
+        (void)audit_write(d->o.audit, "refused", fields);
     else
-        panel_audit_stranger(d->o.audit, "refused", fields);
+        audit_stranger(d->o.audit, "refused", fields);
 }
 
 static void fault(panel_desk *d, panel_client *client, const char *what, const char *why)
@@ -184,7 +189,7 @@ static bool note_control(panel_desk *d, const panel_client *client, const char *
     json_t *fields = about(client);
     json_object_set_new(fields, "how", json_string(how));
     json_object_set_new(fields, "operator", json_integer((json_int_t)to));
-    return panel_audit_write(d->o.audit, "control", fields);
+    return audit_write(d->o.audit, "control", fields);
 }
 
 static void answer_control(panel_desk *d, panel_client *client, const panel_request *r)
@@ -246,7 +251,7 @@ void panel_desk_leave(panel_desk *d, panel_client *client, const char *why)
     json_object_set_new(fields, "why", json_string(why));
     json_object_set_new(fields, "sent", json_integer((json_int_t)client->box.sent));
     json_object_set_new(fields, "skipped", json_integer((json_int_t)client->box.skipped));
-    panel_audit_stranger(d->o.audit, "disconnect", fields);
+    audit_stranger(d->o.audit, "disconnect", fields);
     d->o.counts->sent += client->box.sent;
     d->o.counts->skipped += client->box.skipped;
     if (d->operator_number != client->number) return;
@@ -267,7 +272,7 @@ static const char *pass(panel_desk *d, const panel_client *client, const pending
     const char *why = d->pending_count == PENDING ? "too many orders wait for their answers" : NULL;
     const bool stops = order->event == TD_EVENT_USER_STOP || order->event == TD_EVENT_ABORT ||
                        order->event == TD_EVENT_PAUSE;
-    if (!why && !panel_audit_write(d->o.audit, "order", json_incref(fields)) && !stops)
+    if (!why && !audit_write(d->o.audit, "order", json_incref(fields)) && !stops)
         why = "the audit log cannot be written";
     json_decref(fields);
     if (!why && !panel_ring_offer(&d->o.link->orders, order)) why = "the session takes no orders now";
@@ -470,14 +475,15 @@ void panel_desk_answer(panel_desk *d, const panel_news *news)
     const pending p = d->pending[i];
     d->pending[i] = d->pending[--d->pending_count];
     panel_client *client = d->o.find(d->o.user, p.client);
-    (void)panel_audit_write(d->o.audit, "answer",
-                            json_pack("{s:I, s:I, s:b, s:s}", "order", (json_int_t)p.order, "client",
-                                      (json_int_t)p.client, "accepted", news->accepted, "answer",
-                                      news->text));
-    if (news->accepted)
+    (void)audit_write(d->o.audit, "answer",
+                      json_pack("{s:I, s:I, s:b, s:s}", "order", (json_int_t)p.order, "client",
+                                (json_int_t)p.client, "accepted", news->accepted, "answer", news->text));
+    if (news->accepted) {
+        audit_sync(d->o.audit); /* before anybody is told so; the session went on long ago */
         d->o.counts->accepted++;
-    else
+    } else {
         d->o.counts->refused++;
+    }
     if (!p.service)
         parameter_is_set(d, &p, client, news);
     else if (client && news->accepted)

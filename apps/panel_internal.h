@@ -11,8 +11,9 @@
 
 #include <stdatomic.h>
 
-#include "apps/panel_audit.h"
+#include "apps/audit.h"
 #include "apps/panel_hub.h"
+#include "apps/panel_machine.h"
 #include "apps/panel_ring.h"
 #include "apps/simulate_task.h"
 
@@ -106,12 +107,13 @@ typedef struct panel_options {
     const char *const *origin; /* besides our own */
     size_t origin_count;
     int most_clients;
-    double for_s; /* 0: until told to end */
+    double for_s;           /* 0: until told to end */
+    panel_machine *machine; /* lent; NULL: none */
 } panel_options;
 
 /* `link`, `s` and `list` are lent. */
 td_status panel_live_begin(struct live **live, panel_link *link, scenario *s, const panel_parameter *list,
-                           double for_s, td_log log, td_error *error);
+                           const panel_options *options, td_log log, td_error *error);
 void panel_live_end(struct live **live);
 
 /* ---- the server's side ---- */
@@ -142,7 +144,7 @@ typedef struct panel_desk_options {
     int parameter_count;
     panel_link *link;
     panel_hub *hub;
-    panel_audit *audit;
+    audit *audit;
     panel_counts *counts;
     const td_mcap_channel *channel; /* as advertised */
     size_t channel_count;
@@ -160,6 +162,8 @@ void panel_desk_take(panel_desk *desk, panel_client *client, const void *bytes, 
 void panel_desk_refuse(panel_desk *desk, panel_client *client, const char *what, const char *why);
 void panel_desk_answer(panel_desk *desk, const panel_news *news);
 void panel_desk_phase(panel_desk *desk, td_phase phase);
+/* Into the audit log; `fields` is taken. */
+void panel_desk_note(panel_desk *desk, const char *what, json_t *fields);
 uint64_t panel_desk_operator(const panel_desk *desk); /* 0: none */
 /* It is gone. */
 void panel_desk_leave(panel_desk *desk, panel_client *client, const char *why);

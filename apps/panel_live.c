@@ -6,6 +6,7 @@
 #include <sys/mman.h>
 
 #include "apps/panel_internal.h"
+#include "apps/panel_lead.h"
 
 enum { SAMPLES = 256, NEWS = 1024, ORDERS = 64, ASKED = 4 * ORDERS };
 
@@ -32,6 +33,7 @@ typedef struct panel_live {
     size_t asked_count;
     task_ground ground; /* the last that was sent; its map is the run's */
     double sample_s, begun_s, begun_at_s;
+    panel_lead lead; /* of the machine elsewhere */
 } panel_live;
 
 /* ---- the link ---- */
@@ -292,10 +294,23 @@ static bool is_attended(const struct live *live)
     return !((const panel_live *)live)->ending;
 }
 
+/* ---- a machine elsewhere ---- */
+
+static void look(struct live *live, td_phase phase, live_seen *seen)
+{
+    panel_lead_look(&((panel_live *)live)->lead, phase, seen);
+}
+
+static td_status lead(struct live *live, const live_lead *what, td_error *error)
+{
+    panel_live *l = (panel_live *)live;
+    return panel_lead_on(&l->lead, what, l->scenario->robot->joint_count, error);
+}
+
 /* ---- from the start to the end ---- */
 
 td_status panel_live_begin(struct live **live, panel_link *link, scenario *s, const panel_parameter *list,
-                           double for_s, td_log log, td_error *error)
+                           const panel_options *options, td_log log, td_error *error)
 {
     panel_live *l = calloc(1, sizeof *l);
     *live = NULL;
@@ -308,7 +323,12 @@ td_status panel_live_begin(struct live **live, panel_link *link, scenario *s, co
     l->link = link;
     l->scenario = s;
     l->parameter = list;
-    l->for_s = for_s;
+    l->for_s = options->for_s;
+    if (options->machine) {
+        l->lead.machine = options->machine;
+        l->live.look = look;
+        l->live.lead = lead;
+    }
     l->sample_s = -1;
     live_pace(&l->live, s, log);
     *live = &l->live;

@@ -41,7 +41,7 @@ struct panel_server {
     panel_feed feed;
     panel_options options;
     panel_door door;
-    panel_audit audit;
+    audit audit;
     panel_counts counts;
     panel_desk *desk;
     /* libwebsockets. */
@@ -123,7 +123,7 @@ static int filter(panel_server *s, struct lws *wsi, const char *protocol)
     s->counts.turned_away++;
     json_t *fields = json_pack("{s:s, s:s}", "peer", peer, "why", why);
     if (fields && *origin) json_object_set_new(fields, "origin", json_string(origin));
-    panel_audit_stranger(&s->audit, "turned away", fields);
+    audit_stranger(&s->audit, "turned away", fields);
     (void)lws_return_http_status(wsi, status, why);
     return -1;
 }
@@ -141,9 +141,8 @@ static void welcome(panel_server *s, connection *c, struct lws *wsi)
     s->first = c;
     s->counts.clients++;
     if (s->counts.clients > s->counts.most_clients) s->counts.most_clients = s->counts.clients;
-    panel_audit_stranger(
-        &s->audit, "connect",
-        json_pack("{s:I, s:s}", "client", (json_int_t)c->client.number, "peer", c->client.peer));
+    audit_stranger(&s->audit, "connect",
+                   json_pack("{s:I, s:s}", "client", (json_int_t)c->client.number, "peer", c->client.peer));
     panel_desk_greet(s->desk, &c->client);
     lws_callback_on_writable(wsi);
 }
@@ -439,15 +438,15 @@ static td_status begin_files(panel_server *s, const char *folder, td_error *erro
     char identity[TD_HASH_HEX_SIZE];
     TD_TRY(task_identity(identity, s->feed.scenario, error));
     TD_TRY(td_folder_make(folder, error));
-    char *audit = td_path_join(folder, "audit.jsonl"), *recording = td_path_join(folder, "recording.mcap");
-    td_status status = audit && recording ? panel_audit_open(&s->audit, audit, error)
-                                          : td_fail(error, TD_ERROR_MEMORY, "no memory for a path");
-    if (status == TD_OK && !panel_audit_write(&s->audit, "begin",
-                                              json_pack("{s:s, s:s, s:s}", "scenario", s->feed.scenario->name,
-                                                        "identity", identity, "version", TD_VERSION)))
-        status = td_fail(error, TD_ERROR_IO, "%s: cannot be written; is the disk full?", audit);
+    char *record = td_path_join(folder, "audit.jsonl"), *recording = td_path_join(folder, "recording.mcap");
+    td_status status = record && recording ? audit_open(&s->audit, record, error)
+                                           : td_fail(error, TD_ERROR_MEMORY, "no memory for a path");
+    if (status == TD_OK && !audit_write(&s->audit, "begin",
+                                        json_pack("{s:s, s:s, s:s}", "scenario", s->feed.scenario->name,
+                                                  "identity", identity, "version", TD_VERSION)))
+        status = td_fail(error, TD_ERROR_IO, "%s: cannot be written; is the disk full?", record);
     if (status == TD_OK) status = panel_feed_begin(&s->feed, recording, identity, error);
-    free(audit);
+    free(record);
     free(recording);
     return status;
 }
@@ -490,9 +489,9 @@ td_status panel_server_new(panel_server **server, panel_link *link, const scenar
 {
     panel_server *s = *server = calloc(1, sizeof *s);
     if (!s) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
-    s->feed = (panel_feed){.link = link, .scenario = sc, .log = log, .counts = &s->counts};
+    s->feed = (panel_feed){
+        .link = link, .scenario = sc, .log = log, .counts = &s->counts, .machine = options->machine};
     s->options = *options;
-    s->audit.file = -1;
     atomic_init(&s->stop, false);
     s->door = (panel_door){.local = panel_door_is_local(options->host),
                            .origin = options->origin,
@@ -528,7 +527,7 @@ void panel_server_free(panel_server **server)
     if (!s) return;
     stop(s);
     panel_feed_free(&s->feed);
-    panel_audit_close(&s->audit);
+    audit_close(&s->audit);
     panel_desk_free(&s->desk);
     free(s);
     *server = NULL;
@@ -540,8 +539,8 @@ td_status panel_server_finish(panel_server **server, panel_counts *counts, long 
     panel_server *s = *server;
     stop(s);
     const td_status status = panel_feed_finish(&s->feed, period, time_s, error);
-    (void)panel_audit_write(&s->audit, "end",
-                            json_pack("{s:f, s:I}", "time_s", time_s, "period", (json_int_t)period));
+    (void)audit_write(&s->audit, "end",
+                      json_pack("{s:f, s:I}", "time_s", time_s, "period", (json_int_t)period));
     *counts = s->counts;
     panel_server_free(server);
     return status;

@@ -64,11 +64,86 @@ static td_status tell(session *x, td_phase before, uint32_t orders, td_error *er
     return session_note(x, NOTE_PHASE, "phase", td_phase_text(x->out.phase), error);
 }
 
+/* ---- a machine elsewhere ---- */
+
+static bool has_machine(const session *x)
+{
+    return x->live && x->live->look;
+}
+
+static bool is_at_rest(const session *x, const td_plant_state *state)
+{
+    static const double AT_REST = 2e-3; /* rad/s or m/s */
+    for (int k = 0; k < x->s->robot->joint_count; k++)
+        if (fabs(state->dq[k]) > AT_REST) return false;
+    return true;
+}
+
+/* The simulated machine where the other one stands, on the ground that is expected there. Nothing moves
+ * meanwhile: the clock begins anew. */
+static td_status stand_there(session *x, td_error *error)
+{
+    const td_robot *robot = x->s->robot;
+    td_plant_state there = *x->seen.state;
+    for (int k = 0; k < robot->joint_count; k++) {
+        there.q[k] = fmax(robot->joint[k].lower, fmin(robot->joint[k].upper, there.q[k]));
+        there.dq[k] = 0;
+    }
+    memset(there.twist, 0, sizeof there.twist);
+    there.time_s = session_time(x);
+    TD_TRY(station_stand(x->station, &there, x->dug && x->logic.phase != TD_PHASE_EXECUTING, error));
+    TD_TRY(session_read(x, error));
+    x->dug = x->dug && x->logic.phase == TD_PHASE_EXECUTING;
+    x->stands = true;
+    memcpy(x->stood, x->seen.state->q, sizeof x->stood);
+    x->base = x->state.site_from_vehicle;
+    memset(x->at_stop, 0, sizeof x->at_stop);
+    memset(x->jog.rate, 0, sizeof x->jog.rate);
+    memcpy(x->wanted, x->state.q, sizeof x->wanted);
+    td_trajectory_free(&x->motion);
+    live_again(x->live);
+    return session_keep_ground(x, error);
+}
+
+/* It is not where it was. */
+static bool is_elsewhere(const session *x)
+{
+    static const double NEAR = 2e-3; /* rad or m */
+    for (int k = 0; k < x->s->robot->joint_count; k++)
+        if (fabs(x->seen.state->q[k] - x->stood[k]) > NEAR) return true;
+    return false;
+}
+
+static td_status look_at_machine(session *x, uint32_t *events, td_error *error)
+{
+    const td_phase phase = x->logic.phase;
+    if (!has_machine(x)) return TD_OK;
+    x->live->look(x->live, phase, &x->seen);
+    x->links_open = x->seen.open;
+    *events |= x->seen.reports & ~TD_EVENT_BIT(TD_EVENT_PART_FAILED);
+    if (x->seen.reports & TD_EVENT_BIT(TD_EVENT_PART_FAILED)) {
+        TD_TRY(session_report(x, TD_EVENT_PART_FAILED, x->seen.why, error));
+        *events |= x->reports;
+        x->reports = 0;
+    }
+    const bool first = phase == TD_PHASE_FAILED && x->simulated == 0 && !x->dug;
+    if ((phase != TD_PHASE_READY && !first) || !x->seen.state || !is_at_rest(x, x->seen.state)) return TD_OK;
+    return x->stands && !is_elsewhere(x) ? TD_OK : stand_there(x, error);
+}
+
+static td_status lead_machine(session *x, uint32_t events, td_error *error)
+{
+    const live_lead lead = {
+        .events = events, .out = &x->out, .task = x->setup->task, .run = x->run, .command = &x->command};
+    return has_machine(x) ? x->live->lead(x->live, &lead, error) : TD_OK;
+}
+
 /* Back to where the scenario begins; the session's time goes on. */
 static td_status prepare(session *x, td_error *error)
 {
     x->parameters_read = true;
-    if (x->period == 0) return TD_OK;
+    x->stands = false;
+    if (x->period == 0 || has_machine(x)) return TD_OK;
     td_plant_state again = x->start;
     again.time_s = session_time(x);
     if (x->station)
@@ -85,6 +160,12 @@ static td_status prepare(session *x, td_error *error)
 
 static td_status begin_run(session *x, td_error *error)
 {
+    if (has_machine(x) && x->seen.state && (!x->stands || x->logic.phase == TD_PHASE_EXECUTING))
+        TD_TRY(stand_there(x, error));
+    x->stands = false;
+    x->dug = x->dug || x->logic.phase == TD_PHASE_EXECUTING;
+    memcpy(x->run->from, has_machine(x) ? x->stood : x->state.q, sizeof x->run->from);
+    memset(x->run->peak, 0, sizeof x->run->peak);
     x->step = 0;
     x->step_begun = false;
     x->simulated = 0;
@@ -106,7 +187,7 @@ static td_behaviour_inputs levels(const session *x, uint32_t events)
                                  .links_open = x->links_open,
                                  .parameters_read = x->parameters_read,
                                  .task = x->task_id,
-                                 .machine_task = x->world ? x->task_id : 0};
+                                 .machine_task = x->world || x->seen.holds ? x->task_id : 0};
 }
 
 static td_status react(session *x, uint32_t events, td_error *error)
@@ -115,8 +196,8 @@ static td_status react(session *x, uint32_t events, td_error *error)
     const td_behaviour_inputs in = levels(x, events);
     td_behaviour_react(&x->logic, &in, &x->out);
     TD_TRY(tell(x, before, events, error));
-    if (x->out.close_links) x->links_open = false;
-    if (x->out.open_links) x->links_open = true;
+    if (x->out.close_links && !has_machine(x)) x->links_open = false;
+    if (x->out.open_links && !has_machine(x)) x->links_open = true;
     if (x->out.read_parameters) TD_TRY(prepare(x, error));
     if (x->out.begin) TD_TRY(begin_run(x, error));
     return TD_OK;
@@ -279,19 +360,33 @@ static bool is_at_end(const session *x)
     return (double)x->simulated * x->s->period_s >= x->s->duration_s - x->s->period_s / 2;
 }
 
+/* What a simulation comes to, for who vouches for it. */
+static void keep_results(session *x)
+{
+    task_run *r = x->run;
+    for (int k = 0; k < x->s->robot->joint_count; k++) r->peak[k] = fmax(r->peak[k], fabs(x->state.force[k]));
+    memcpy(r->to, x->state.q, sizeof r->to);
+    r->took_s = (double)x->simulated * x->s->period_s;
+}
+
 static td_status one_period(session *x, td_error *error)
 {
     uint32_t events = x->reports;
     x->reports = 0;
     x->wish.kind = TD_JOG_NOTHING;
     TD_TRY(session_read(x, error));
-    if (is_working(x) && is_at_end(x)) events |= TD_EVENT_BIT(TD_EVENT_ENDED);
+    if (x->logic.phase == TD_PHASE_SIMULATING) keep_results(x);
+    const bool ends = is_working(x) && !(has_machine(x) && x->logic.phase == TD_PHASE_EXECUTING);
+    if (ends && is_at_end(x)) events |= TD_EVENT_BIT(TD_EVENT_ENDED);
+    TD_TRY(look_at_machine(x, &events, error));
     TD_TRY(take_inputs(x, &events, error));
     TD_TRY(react(x, events, error));
+    if (x->out.phase == TD_PHASE_MANUAL) x->stands = false;
     if (x->out.messages &
         (TD_MESSAGE_BIT(TD_MESSAGE_SIMULATION_ENDED) | TD_MESSAGE_BIT(TD_MESSAGE_EXECUTION_ENDED)))
         session_keep_steady(x);
     TD_TRY(drive(x, error));
+    TD_TRY(lead_machine(x, events, error));
     if (session_time(x) >= (double)x->log_index * x->s->log_s - 1e-9) {
         x->log_index = (size_t)floor(session_time(x) / x->s->log_s + 1e-6) + 1;
         TD_TRY(session_sample(x, error));
@@ -425,6 +520,7 @@ static td_status begin_session(session *x, td_error *error)
     td_behaviour_options o = td_behaviour_options_default();
     char hex[TD_HASH_HEX_SIZE];
     o.singularity = x->setup->singularity;
+    o.has_machine = has_machine(x);
     o.deadlines_forgiven = x->setup->miss == TD_MISS_STOP ? 0 : UINT32_MAX;
     TD_TRY(td_task_hash(hex, x->setup->task, error));
     hex[8] = 0;

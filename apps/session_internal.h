@@ -43,6 +43,10 @@ typedef struct session {
     td_behaviour logic;
     td_behaviour_outputs out;
     bool links_open, parameters_read;
+    live_seen seen; /* of the machine elsewhere; its state is only there while a period begins */
+    bool stands;    /* the simulated machine, where that one does: */
+    double stood[TD_ROBOT_MAX_JOINTS];
+    bool dug;                  /* it executed a task since */
     uint32_t task_id, reports; /* reports of the last period, for the next reaction */
     size_t next_input, stops_seen;
     bool at_stop[TD_ROBOT_MAX_JOINTS];

@@ -60,6 +60,13 @@ td_status live_start(struct live *l, td_error *error)
     return td_clock_start(&l->clock, &l->options, error);
 }
 
+void live_again(struct live *l)
+{
+    const td_clock_counts counts = l->clock.counts;
+    (void)td_clock_start(&l->clock, &l->options, NULL);
+    l->clock.counts = counts;
+}
+
 td_status live_wait(struct live *l, bool *missed, td_error *error)
 {
     const uint64_t before = l->clock.counts.misses;

@@ -114,6 +114,9 @@ typedef struct task_run {
     double steady[3]; /* actual less wanted place of the tool when the simulation ended, m, in the site */
     double joint_off; /* the same of the joint that is furthest off, rad or m */
     task_live live;
+    /* Of the last simulation: joints as it began and as they were last, the most that each pushed (N), and
+     * how long it took. */
+    double from[TD_ROBOT_MAX_JOINTS], to[TD_ROBOT_MAX_JOINTS], peak[TD_ROBOT_MAX_JOINTS], took_s;
     size_t ground_count;
     task_ground ground[TASK_MAX_GROUNDS]; /* for the recording, near the machine */
     td_elevation *after;                  /* the whole map at the end; NULL: no ground */
@@ -228,6 +231,23 @@ typedef struct live_view {
     uint32_t offers; /* orders that would be obeyed now (td_behaviour_offers) */
 } live_view;
 
+/* A machine elsewhere that does what was simulated here, as it is seen before a reaction. */
+typedef struct live_seen {
+    bool open;                   /* it is there, ours to command */
+    bool holds;                  /* the task that it was sent last */
+    uint32_t reports;            /* TD_EVENT_BIT of DOWNLOADED, ENDED, PART_FAILED, */
+    char why[400];               /* the last one's reason */
+    const td_plant_state *state; /* NULL: not known */
+} live_seen;
+/* What comes of the reaction. */
+typedef struct live_lead {
+    uint32_t events; /* that were handed in: TD_EVENT_BIT */
+    const td_behaviour_outputs *out;
+    const td_task *task;
+    const task_run *run;             /* what it came to, simulated */
+    const td_plant_command *command; /* of the joints, for this period */
+} live_lead;
+
 /* In real time: the ticks; where orders come from and where the session is shown. Made by keys (live_begin)
  * or by the panel. All of it is called by the session's thread, which it must not keep waiting. */
 struct live {
@@ -245,6 +265,11 @@ struct live {
     /* Whether an operator is there, who ends the session. */
     bool (*attended)(const struct live *live);
     td_status (*show)(struct live *live, const live_view *view, td_error *error);
+    /* Once a period, where the session has a machine of its own: before the reaction, and after it. Then the
+     * simulated machine stands where that one does before anything begins, goes with it while it executes,
+     * and is moved by the same hand. NULL: there is none. */
+    void (*look)(struct live *live, td_phase phase, live_seen *seen);
+    td_status (*lead)(struct live *live, const live_lead *lead, td_error *error);
 };
 /* Its clock, from what the scenario says. */
 void live_pace(struct live *live, const scenario *s, td_log log);
@@ -252,6 +277,8 @@ void live_pace(struct live *live, const scenario *s, td_log log);
 td_status live_start(struct live *live, td_error *error);
 /* Until the next tick. *missed: its deadline was. */
 td_status live_wait(struct live *live, bool *missed, td_error *error);
+/* Time goes on from now: nothing moved meanwhile. */
+void live_again(struct live *live);
 
 /* Led by keys. */
 td_status live_begin(struct live **live, const scenario *s, terminal *term, td_log log, td_error *error);

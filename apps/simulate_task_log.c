@@ -329,6 +329,12 @@ static td_status take(replay *r, const char *where, long period, const char *kin
         r->inputs->end = period;
         return TD_OK;
     }
+    if (strcmp(kind, "machine") == 0)
+        return td_fail(
+            error, TD_ERROR_DATA,
+            "%s: the session had a machine elsewhere, and the log does not tell all that it did: such a "
+            "log is not replayed",
+            where);
     if (strcmp(kind, "parameter") == 0)
         return td_fail(
             error, TD_ERROR_DATA,

@@ -239,6 +239,19 @@ td_status station_restart(station *s, double time_s, td_error *error)
     return begin(s, &again, error);
 }
 
+td_status station_stand(station *s, const td_plant_state *start, bool stays, td_error *error)
+{
+    const td_elevation *now = NULL;
+    td_elevation *copy = NULL;
+    if (stays) {
+        TD_TRY(station_map(&now, s, error));
+        TD_TRY(td_elevation_copy(&copy, now, error));
+        td_elevation_free(&s->first);
+        s->first = copy;
+    }
+    return begin(s, start, error);
+}
+
 td_status station_believe(station *s, const td_elevation *map, const double *sigma_zero, td_error *error)
 {
     td_elevation *copy = NULL;

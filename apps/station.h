@@ -58,6 +58,9 @@ td_status station_new(station **s, const td_robot *robot, const td_machine_optio
 void station_free(station **s);
 /* Back to how it was made: the map, the soil, the machine, the stones; the clock shows time_s. */
 td_status station_restart(station *s, double time_s, td_error *error);
+/* The same, but where `start` is, settled; `stays`: on the ground as it is now, which is that at first from
+ * then on. */
+td_status station_stand(station *s, const td_plant_state *start, bool stays, td_error *error);
 /* The plant is lent: it lives as long as the station, and its free does nothing. */
 td_plant station_plant(station *s);
 /* What plans and checks of motions see in place of the ground as it is, which somebody only believes to know:

@@ -1,5 +1,6 @@
 """Running commands, reading their results: what the command tests share."""
 
+import base64
 import csv
 import json
 import os
@@ -44,6 +45,30 @@ def skip(text):
 def finish():
     print(f"{passed} passed, {len(failures)} failed, {skipped} skipped")
     sys.exit(1 if failures else 0)
+
+
+def schema_fault(value, schema, path="message"):
+    """What of a value is not as its JSON schema says; "" when all is. Fields the schema does not know are faults."""
+    if "oneOf" in schema:
+        return "" if value in [c["const"] for c in schema["oneOf"]] else f"{path}: {value} is no choice"
+    kind = schema["type"]
+    right = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int, "number": (int, float), "null": type(None)}
+    if isinstance(kind, list):
+        found = [schema_fault(value, {**schema, "type": one}, path) for one in kind]
+        return "" if "" in found else found[0]
+    if not isinstance(value, right[kind]) or (kind in ("integer", "number") and isinstance(value, bool)):
+        return f"{path}: is no {kind}"
+    if kind == "integer" and not schema.get("minimum", value) <= value <= schema.get("maximum", value):
+        return f"{path}: {value} is out of range"
+    if schema.get("contentEncoding") == "base64":
+        base64.b64decode(value, validate=True)
+    if kind == "array":
+        return next(filter(None, (schema_fault(v, schema["items"], f"{path}[]") for v in value)), "")
+    if kind == "object":
+        if set(value) != set(schema["properties"]) or not set(schema.get("required", [])) <= set(value):
+            return f"{path}: has fields {sorted(value)}"
+        return next(filter(None, (schema_fault(v, schema["properties"][k], f"{path}.{k}") for k, v in value.items())), "")
+    return ""
 
 
 def run(*arguments, env=None, timeout=300, cwd=None, before=None):

@@ -13,7 +13,7 @@ import subprocess
 import tempfile
 import zlib
 
-from common import SOURCE, check, finish, skip
+from common import SOURCE, check, finish, schema_fault, skip
 
 RECORD = os.path.join(os.environ["TELEDIMOS_TESTS"], "record_machine")
 URDF = os.path.join(SOURCE, "datasets/zx200/zx200.urdf")
@@ -203,27 +203,6 @@ class Recording:
         f.done()
 
 
-def fault(value, schema, path="message"):
-    """What of a value is not as its JSON schema says; "" when all is. Fields the schema does not know are faults."""
-    if "oneOf" in schema:
-        return "" if value in [c["const"] for c in schema["oneOf"]] else f"{path}: {value} is no choice"
-    kind = schema["type"]
-    right = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int, "number": (int, float)}
-    if not isinstance(value, right[kind]) or (kind in ("integer", "number") and isinstance(value, bool)):
-        return f"{path}: is no {kind}"
-    if kind == "integer" and not schema.get("minimum", value) <= value <= schema.get("maximum", value):
-        return f"{path}: {value} is out of range"
-    if schema.get("contentEncoding") == "base64":
-        base64.b64decode(value, validate=True)
-    if kind == "array":
-        return next(filter(None, (fault(v, schema["items"], f"{path}[]") for v in value)), "")
-    if kind == "object":
-        if set(value) != set(schema["properties"]) or not set(schema["required"]) <= set(value):
-            return f"{path}: has fields {sorted(value)}"
-        return next(filter(None, (fault(v, schema["properties"][k], f"{path}.{k}") for k, v in value.items())), "")
-    return ""
-
-
 def check_messages(recording):
     by_topic = {c[1]: recording.schemas[c[0]] for c in recording.channels.values()}
     faults, seen = [], {}
@@ -234,7 +213,7 @@ def check_messages(recording):
         schema = json.loads(text)
         if encoding != "jsonschema" or schema["title"] != name:
             faults.append(f"{topic}: schema {name}")
-        faults.append(fault(value, schema, topic))
+        faults.append(schema_fault(value, schema, topic))
         stamp = value.get("timestamp") or (value.get("transforms") or value.get("entities"))[0]["timestamp"]
         if stamp["sec"] * 10**9 + stamp["nsec"] != log:
             faults.append(f"{topic}: its time is not that of the recording")
