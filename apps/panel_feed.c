@@ -143,6 +143,14 @@ static td_status add_channels(panel_feed *f, td_error *error)
     return TD_OK;
 }
 
+td_status panel_feed_add(panel_feed *f, int *index, const td_mcap_channel *about, td_error *error)
+{
+    *index = panel_hub_add(&f->hub, 1);
+    if (*index < 0) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
+    f->about[f->about_count++] = *about;
+    return TD_OK;
+}
+
 td_status panel_feed_begin(panel_feed *f, const char *recording, const char *identity, td_error *error)
 {
     const task_sink to = {.take = publish, .user = f};

@@ -14,7 +14,7 @@ typedef struct panel_feed {
     const scenario *scenario;
     panel_hub hub;
     int index[PANEL_CHANNELS]; /* in the hub, one less than the number as advertised; -1: not there */
-    td_mcap_channel about[PANEL_CHANNELS]; /* (about_count) as advertised */
+    td_mcap_channel about[PANEL_MAX_CHANNELS]; /* (about_count) as advertised */
     size_t about_count;
     td_mcap_writer *writer;
     int recorded[TASK_CHANNELS]; /* the recording's numbers */
@@ -34,6 +34,8 @@ void panel_feed_take(panel_feed *feed);
 void panel_feed_diagnose(panel_feed *feed);
 /* Now and then: what a kill leaves of the recording. */
 void panel_feed_flush(panel_feed *feed, double now_s);
+/* A further channel of states, which is not recorded: its index in the hub. */
+td_status panel_feed_add(panel_feed *feed, int *index, const td_mcap_channel *about, td_error *error);
 td_status panel_feed_finish(panel_feed *feed, long period, double time_s, td_error *error);
 
 #endif

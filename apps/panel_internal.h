@@ -12,6 +12,7 @@
 #include <stdatomic.h>
 
 #include "apps/panel_audit.h"
+#include "apps/panel_bench.h"
 #include "apps/panel_hub.h"
 #include "apps/panel_ring.h"
 #include "apps/simulate_task.h"
@@ -106,7 +107,8 @@ typedef struct panel_options {
     const char *const *origin; /* besides our own */
     size_t origin_count;
     int most_clients;
-    double for_s; /* 0: until told to end */
+    double for_s;              /* 0: until told to end */
+    panel_bench_options bench; /* what pictures there are */
 } panel_options;
 
 /* `link`, `s` and `list` are lent. */
@@ -146,6 +148,7 @@ typedef struct panel_desk_options {
     panel_counts *counts;
     const td_mcap_channel *channel; /* as advertised */
     size_t channel_count;
+    panel_bench *bench;
     panel_client *(*find)(void *user, uint64_t number);
     void (*each)(void *user, void (*f)(panel_client *client, void *with), void *with);
     void *user;
@@ -159,6 +162,8 @@ void panel_desk_take(panel_desk *desk, panel_client *client, const void *bytes, 
 /* Something about a client that is refused. */
 void panel_desk_refuse(panel_desk *desk, panel_client *client, const char *what, const char *why);
 void panel_desk_answer(panel_desk *desk, const panel_news *news);
+/* Of a bench. */
+void panel_desk_bench(panel_desk *desk, const panel_bench_answer *answer);
 void panel_desk_phase(panel_desk *desk, td_phase phase);
 uint64_t panel_desk_operator(const panel_desk *desk); /* 0: none */
 /* It is gone. */

@@ -44,6 +44,7 @@ struct panel_server {
     panel_audit audit;
     panel_counts counts;
     panel_desk *desk;
+    panel_bench *bench;
     /* libwebsockets. */
     struct lws_context *context;
     struct lws_vhost *host;
@@ -51,6 +52,7 @@ struct panel_server {
     double swept_s; /* when `second` last came */
     pthread_t thread;
     bool started;
+    size_t acquired; /* channels of pictures, the last ones */
     atomic_bool stop;
     connection *first;
     uint64_t clients; /* so far */
@@ -274,6 +276,77 @@ static int on_socket(struct lws *wsi, enum lws_callback_reasons reason, void *us
     }
 }
 
+/* ---- benches ---- */
+
+static const char bench_protocol[] = "teledimos.bench"; /* of their pipes; no client speaks it */
+
+static bool watch_bench(void *user, int file, void *child)
+{
+    panel_server *s = user;
+    const lws_adopt_desc_t pipe = {.vh = s->host,
+                                   .type = LWS_ADOPT_RAW_FILE_DESC,
+                                   .fd = {.filefd = file},
+                                   .vh_prot_name = bench_protocol,
+                                   .opaque = child};
+    return lws_adopt_descriptor_vhost_via_info(&pipe) != NULL;
+}
+
+static void answer_bench(void *user, const panel_bench_answer *answer)
+{
+    panel_server *s = user;
+    panel_desk_bench(s->desk, answer);
+}
+
+static int on_bench(struct lws *wsi, enum lws_callback_reasons reason, void *user, void *in, size_t size)
+{
+    panel_server *s = lws_context_user(lws_get_context(wsi));
+    void *child = reason == LWS_CALLBACK_RAW_RX_FILE || reason == LWS_CALLBACK_RAW_CLOSE_FILE
+                      ? lws_get_opaque_user_data(wsi)
+                      : NULL;
+    switch (reason) {
+    case LWS_CALLBACK_FILTER_PROTOCOL_CONNECTION:
+        return filter(s, wsi, NULL);
+    case LWS_CALLBACK_RAW_RX_FILE: {
+        const bool goes_on = panel_bench_readable(child);
+        serve_all(s);
+        return goes_on ? 0 : -1;
+    }
+    case LWS_CALLBACK_RAW_CLOSE_FILE:
+        if (child) panel_bench_closed(child);
+        return 0;
+    default:
+        return lws_callback_http_dummy(wsi, reason, user, in, size);
+    }
+}
+
+static bool is_acquisition_watched(const panel_server *s)
+{
+    const size_t first = s->feed.about_count - s->acquired;
+    for (const connection *c = s->first; c; c = c->next)
+        for (size_t i = 0; i < c->client.box.count; i++)
+            if ((size_t)c->client.box.subscription[i].channel >= first) return true;
+    return false;
+}
+
+static td_status begin_bench(panel_server *s, const char *folder, td_error *error)
+{
+    panel_bench_options o = s->options.bench;
+    o.output = folder;
+    o.hub = &s->feed.hub;
+    o.watch = watch_bench;
+    o.answer = answer_bench;
+    o.user = s;
+    s->bench = panel_bench_new(&o);
+    if (!s->bench) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
+    const td_mcap_channel *about = panel_bench_channels(s->bench, &s->acquired);
+    for (size_t k = 0; k < s->acquired; k++) {
+        int index;
+        TD_TRY(panel_feed_add(&s->feed, &index, about + k, error));
+        panel_bench_channel(s->bench, k, index);
+    }
+    return TD_OK;
+}
+
 /* ---- timers ---- */
 
 static void each_second(lws_sorted_usec_list_t *timer)
@@ -303,6 +376,7 @@ static void each_half_second(lws_sorted_usec_list_t *timer)
 {
     panel_server *s = lws_container_of(timer, panel_server, half);
     panel_feed_diagnose(&s->feed);
+    panel_bench_tick(s->bench, is_acquisition_watched(s), terminal_now_s());
     serve_all(s);
     lws_sul_schedule(s->context, 0, &s->half, each_half_second, LWS_US_PER_SEC / 2);
 }
@@ -398,6 +472,7 @@ static td_status listen_on(panel_server *s, td_error *error)
         {"http", on_http, 0, 0, 0, NULL, 0},
         {PANEL_PROTOCOL_SDK, on_socket, sizeof(connection), 4096, 0, NULL, 0},
         {PANEL_PROTOCOL_WEBSOCKET, on_socket, sizeof(connection), 4096, 0, NULL, 0},
+        {bench_protocol, on_bench, 0, 0, 0, NULL, 0},
         {NULL, NULL, 0, 0, 0, NULL, 0},
     };
     const bool everywhere = strcmp(s->options.host, "0.0.0.0") == 0;
@@ -463,6 +538,7 @@ static td_status begin_desk(panel_server *s, panel_parameter *list, int count, t
                                   .counts = &s->counts,
                                   .channel = s->feed.about,
                                   .channel_count = s->feed.about_count,
+                                  .bench = s->bench,
                                   .find = find_client,
                                   .each = each_client,
                                   .user = s};
@@ -500,6 +576,7 @@ td_status panel_server_new(panel_server **server, panel_link *link, const scenar
     if (options->token_file) TD_TRY(panel_door_token(&s->door, options->token_file, error));
     TD_TRY(listen_on(s, error));
     TD_TRY(begin_files(s, folder, error));
+    TD_TRY(begin_bench(s, folder, error));
     TD_TRY(begin_desk(s, list, count, error));
     write_page(s);
     return start(s, error);
@@ -518,6 +595,7 @@ static void stop(panel_server *s)
         pthread_join(s->thread, NULL);
     }
     s->started = false;
+    panel_bench_stop(s->bench);
     if (s->context) lws_context_destroy(s->context);
     s->context = NULL;
 }
@@ -527,6 +605,7 @@ void panel_server_free(panel_server **server)
     panel_server *s = *server;
     if (!s) return;
     stop(s);
+    panel_bench_free(&s->bench);
     panel_feed_free(&s->feed);
     panel_audit_close(&s->audit);
     panel_desk_free(&s->desk);

@@ -271,7 +271,12 @@ td_status workbench_acquire(const workbench_source *source, td_error *error)
     }
     if (status == TD_OK) status = open_sources(q, error);
     if (status == TD_OK) status = open_dataset(q, folder, error);
-    if (status == TD_OK) run(q);
+    if (status == TD_OK) {
+        run(q);
+    } else if (q) { /* whoever asks is told, too */
+        snprintf(q->trouble, sizeof q->trouble, "%.299s", error->message);
+        tell_state(q);
+    }
     for (int k = 0; q && k < 2; k++) {
         td_source_free(&q->source[k]);
         td_image_free(&q->image[k]);
