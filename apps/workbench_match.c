@@ -164,7 +164,6 @@ td_status workbench_interest(json_t **answer, workbench *w, const td_field *a, t
     size_t count = 0;
     td_interest_options o = td_interest_options_default();
     o.count = INTEREST_POINTS;
-    o.even = true;
     o.threads = 1;
     TD_TRY(need_pair(w, error));
     TD_TRY(td_interest_points(&point, &count, w->match.image[0], &o, error));
