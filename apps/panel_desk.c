@@ -153,7 +153,7 @@ void panel_desk_greet(panel_desk *d, panel_client *client)
     for (int i = 0; i < SERVICES; i++) list[i] = services[i].about;
     for (size_t i = 0; i < benches && i < MOST - SERVICES; i++) list[SERVICES + i] = bench[i].about;
     snprintf(name, sizeof name, "teledimos panel: %s", d->o.scenario->name);
-    reply(client, panel_server_info(name, d->session));
+    reply(client, panel_server_info(name, d->session, client->number));
     reply(client, panel_advertise(d->o.channel, d->o.channel_count));
     reply(client, panel_advertise_services(list, SERVICES + benches));
 }

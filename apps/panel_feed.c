@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "apps/panel_about.h"
 #include "core/document.h"
 
 enum { EVENTS_KEPT = 512 };
@@ -45,6 +46,14 @@ static const char diagnostics_schema[] =
     "\"number\"},\"real_time_factor\":{\"type\":\"number\"},\"clients\":{\"type\":\"integer\"},\"operator\":{"
     "\"type\":\"integer\"},\"samples_dropped\":{\"type\":\"integer\"},\"orders\":{\"type\":\"integer\"},"
     "\"refused\":{\"type\":\"integer\"}}}";
+
+static const char about_schema[] = "{\"type\":\"object\",\"title\":\"teledimos.Panel\",\"properties\":{"
+                                   "\"scenario\":{\"type\":\"string\"},\"robot\":{"
+                                   "\"type\":\"string\"},\"task\":{\"type\":\"string\"},\"task_frame\":{"
+                                   "\"type\":\"string\"},\"period_s\":{\"type\":"
+                                   "\"number\"},\"joints\":{\"type\":\"array\",\"items\":{\"type\":"
+                                   "\"object\"}},\"parameters\":{\"type\":\"array\","
+                                   "\"items\":{\"type\":\"object\"}},\"behaviour\":{\"type\":\"object\"}}}";
 
 static void publish_session(panel_feed *f, const panel_sample *p)
 {
@@ -130,7 +139,8 @@ static td_status add_channels(panel_feed *f, td_error *error)
     static const td_mcap_channel own[] = {
         {"/session", "json", "teledimos.Session", "jsonschema", session_schema, sizeof session_schema - 1},
         {"/diagnostics", "json", "teledimos.Diagnostics", "jsonschema", diagnostics_schema,
-         sizeof diagnostics_schema - 1}};
+         sizeof diagnostics_schema - 1},
+        {"/panel", "json", "teledimos.Panel", "jsonschema", about_schema, sizeof about_schema - 1}};
     for (int i = 0; i < PANEL_CHANNELS; i++) {
         const bool events = i == TASK_LOG || i == TASK_INPUTS;
         f->index[i] = -1;
@@ -157,6 +167,7 @@ td_status panel_feed_begin(panel_feed *f, const char *recording, const char *ide
     TD_TRY(add_channels(f, error));
     TD_TRY(task_recording_begin(&f->writer, f->recorded, recording, f->scenario->map != NULL, error));
     f->flushed_s = terminal_now_s();
+    publish_json(f, PANEL_ABOUT, panel_about_json(f->scenario, f->parameter, f->parameter_count));
     return task_message_begin(&to, f->scenario->robot, identity, error);
 }
 

@@ -7,11 +7,13 @@
 #include "apps/simulate_task_message.h"
 
 /* Our own channels, after the recording's. */
-enum { PANEL_SESSION = TASK_CHANNELS, PANEL_DIAGNOSTICS, PANEL_CHANNELS };
+enum { PANEL_SESSION = TASK_CHANNELS, PANEL_DIAGNOSTICS, PANEL_ABOUT, PANEL_CHANNELS };
 
 typedef struct panel_feed {
     panel_link *link;
     const scenario *scenario;
+    const panel_parameter *parameter; /* (parameter_count) */
+    int parameter_count;
     panel_hub hub;
     int index[PANEL_CHANNELS]; /* in the hub, one less than the number as advertised; -1: not there */
     td_mcap_channel about[PANEL_MAX_CHANNELS]; /* (about_count) as advertised */

@@ -39,6 +39,8 @@ bool panel_parameter_is_settable(const panel_parameter *p);
 td_status panel_parameter_read(double *number, const panel_parameter *p, const json_t *value,
                                td_error *error);
 json_t *panel_parameter_json(const panel_parameter *p);
+/* The names of the laws of motion. */
+json_t *panel_laws_json(void);
 void panel_parameter_show(panel_parameter *p, double number);
 /* The session's: sets it where it stands; refused, and left as it was, when the task does not fit the robot.
  */

@@ -322,13 +322,16 @@ def test_door(folder):
         except Refused:
             check(True, "another subprotocol is turned away")
         panel.client(headers=[f"Origin: http://localhost:{panel.port}"]).close()
+        both = panel.client(", ".join(PROTOCOLS))
+        check("Sec-WebSocket-Protocol: foxglove.sdk.v1" in both.head, "of two subprotocols offered, as browsers do, the first is spoken")
+        both.close()
         with socket.create_connection(("127.0.0.1", panel.port)) as page:
-            page.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+            page.sendall(b"GET /connect HTTP/1.1\r\nHost: x\r\n\r\n")
             text = page.recv(4096).decode()
             page.settimeout(2)
             while "</code>." not in text:
                 text += page.recv(4096).decode()
-        check("200 OK" in text and f"ws://127.0.0.1:{panel.port}/" in text, "GET / says how to connect")
+        check("200 OK" in text and f"ws://127.0.0.1:{panel.port}/" in text, "GET /connect says how to connect")
         code, _, errors = run("panel", panel.scenario, "-o", os.path.join(folder, "second"), "--port", panel.port)
         check(code == 1 and not fault_of_sentence(errors, "panel") and str(panel.port) in errors, f"a port in use: {errors.strip()}")
 
