@@ -306,7 +306,7 @@ static int on_bench(struct lws *wsi, enum lws_callback_reasons reason, void *use
                       : NULL;
     switch (reason) {
     case LWS_CALLBACK_FILTER_PROTOCOL_CONNECTION:
-        return filter(s, wsi, NULL);
+        return filter(s, wsi, false);
     case LWS_CALLBACK_RAW_RX_FILE: {
         const bool goes_on = panel_bench_readable(child);
         serve_all(s);
