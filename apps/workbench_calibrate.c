@@ -317,7 +317,7 @@ static td_status pick_result(json_t **answer, const char *text, size_t size, con
                              td_error *error)
 {
     static const char *const keys[] = {"verdict", "reasons",       "rms_px",          "cameras",
-                                       "pairs",   "leave_one_out", "weak_directions", "outlier_views"};
+                                       "stereo",  "leave_one_out", "weak_directions", "outlier_views"};
     json_t *result = json_loadb(text, size, 0, NULL);
     if (!json_is_object(result)) {
         json_decref(result);

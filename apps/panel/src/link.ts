@@ -24,6 +24,8 @@ export interface Feed {
 export interface Answer {
   ok: boolean;
   text: string;
+  /** What a service answers besides. */
+  response?: unknown;
 }
 
 const SILENT_S = 1.2; // diagnostics come each half second
@@ -118,7 +120,15 @@ export class Link implements Feed {
     const last = this.newest.get(topic);
     if (last) taker(this.parse(last.bytes), last.time_s);
     else this.subscribe();
-    return () => set.delete(taker);
+    return () => {
+      set.delete(taker);
+      if (set.size === 0) this.unsubscribe(topic);
+    };
+  }
+
+  /** Whether the server has that service. */
+  has(service: string): boolean {
+    return this.services.has(service);
   }
 
   topics(): string[] {
@@ -126,7 +136,7 @@ export class Link implements Feed {
   }
 
   /** An order, or another service. Never rejects: what cannot be sent is an answer too. */
-  call(service: string, request: object = {}): Promise<Answer> {
+  call(service: string, request: object = {}, within_s = 3): Promise<Answer> {
     const number = this.services.get(service);
     const socket = this.socket;
     if (!socket || socket.readyState !== WebSocket.OPEN || number === undefined)
@@ -135,11 +145,11 @@ export class Link implements Feed {
     return new Promise((resolve) => {
       const late = setTimeout(() => {
         this.calls.delete(call);
-        resolve({ ok: false, text: 'no answer within 3 s' });
-      }, 3000);
-      this.calls.set(call, (answer) => {
+        resolve({ ok: false, text: `no answer within ${within_s} s` });
+      }, 1000 * within_s);
+      this.calls.set(call, (answer, response) => {
         clearTimeout(late);
-        resolve(answer);
+        resolve({ ...answer, response });
       });
       socket.send(encodeCall(number, call, request));
     });
@@ -258,6 +268,17 @@ export class Link implements Feed {
     if (rows.length > 0) socket.send(JSON.stringify({ op: 'subscribe', subscriptions: rows }));
   }
 
+  /** What nobody here takes any more is not to be sent. */
+  private unsubscribe(topic: string): void {
+    this.takers.delete(topic);
+    this.newest.delete(topic);
+    for (const [id, name] of this.subscribed) {
+      if (name !== topic) continue;
+      this.subscribed.delete(id);
+      this.socket?.send(JSON.stringify({ op: 'unsubscribe', subscriptionIds: [id] }));
+    }
+  }
+
   // ---- what comes in ----
 
   private takeText(m: TextMessage): void {
@@ -277,6 +298,7 @@ export class Link implements Feed {
       this.changed();
     } else if (m.op === 'advertiseServices') {
       for (const service of m.services) this.services.set(service.name, service.id);
+      this.changed();
     } else if (m.op === 'serviceCallFailure') {
       this.calls.get(m.callId)?.({ ok: false, text: m.message }, null);
       this.calls.delete(m.callId);
