@@ -41,7 +41,8 @@ static cli_command command = {
         "foxglove.CompressedImage, and 'message state {…}' with focus and skew. Freeze {on} holds the "
         "picture, Store {} puts it into DIR/acquired, a dataset.\n\n"
         "pictures works on datasets, or folders of pictures, that the command line names, and on "
-        "DIR/acquired: Benches {}; OpenBench {bench}; Picture {frame, camera}; FindMarks {frame, camera, "
+        "DIR/acquired: Benches {}; OpenBench {bench, for}, for calibrate, match or (left out) both; Picture "
+        "{frame, camera, for}; FindMarks {frame, camera, "
         "clicks: [{mark, x, y}]}, up to nine clicks; Coverage {}; Calibrate {}, which runs teledimos "
         "calibrate into DIR/calibrated; MatchOpen {frame, rig}; InterestPoints {}; MatchPoint {x, y}; "
         "MatchChoose {candidate} or {x, y}; MatchUndo {}; MatchExport {}, into DIR/points.",

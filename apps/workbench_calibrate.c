@@ -16,18 +16,23 @@
 #include "calib/next_view.h"
 #include "core/file.h"
 
+static const workbench_open_place *open_of(const workbench *w)
+{
+    return w->open + WORKBENCH_CALIBRATE;
+}
+
 static td_status need_target(const workbench *w, td_error *error)
 {
-    if (!w->open) return td_fail(error, TD_ERROR_ARGUMENT, "no bench is open: OpenBench first");
-    if (w->has_target) return TD_OK;
+    if (!open_of(w)->place) return td_fail(error, TD_ERROR_ARGUMENT, "no bench is open: OpenBench first");
+    if (open_of(w)->has_target) return TD_OK;
     return td_fail(error, TD_ERROR_DATA,
                    "%s: its dataset.yaml does not say what target is seen, so there is nothing to find",
-                   w->open->name);
+                   open_of(w)->place->name);
 }
 
 static workbench_view *view_of(const workbench *w, size_t frame, int camera)
 {
-    return w->view + frame * (size_t)w->dataset->camera_count + (size_t)camera;
+    return w->view + frame * (size_t)open_of(w)->dataset->camera_count + (size_t)camera;
 }
 
 /* ---- marks ---- */
@@ -50,7 +55,7 @@ static td_status read_clicks(td_click click[TD_MAX_CLICKS], size_t *count, const
                              const workbench *w, const td_image *image, td_error *error)
 {
     const td_field list = td_field_get(a, "clicks");
-    const td_target *target = &w->dataset->target;
+    const td_target *target = &open_of(w)->dataset->target;
     *count = 0;
     if (!list.value) return TD_OK;
     TD_TRY(td_field_count(count, &list, 0, TD_MAX_CLICKS, error));
@@ -90,8 +95,8 @@ static td_status check_size(workbench *w, int camera, const td_image *image, con
     if (!w->width[camera]) w->width[camera] = image->width, w->height[camera] = image->height;
     if (w->width[camera] == image->width && w->height[camera] == image->height) return TD_OK;
     return td_fail(error, TD_ERROR_DATA, "%s: is of %d x %d px, another image of camera %s of %d x %d px",
-                   path, image->width, image->height, w->dataset->camera[camera].name, w->width[camera],
-                   w->height[camera]);
+                   path, image->width, image->height, open_of(w)->dataset->camera[camera].name,
+                   w->width[camera], w->height[camera]);
 }
 
 static td_status look(workbench *w, size_t frame, int camera, const td_image *image, const td_click *click,
@@ -99,8 +104,9 @@ static td_status look(workbench *w, size_t frame, int camera, const td_image *im
 {
     workbench_view *v = view_of(w, frame, camera);
     td_detection seen = {0};
-    const td_status status = clicks ? td_marks_detect(&seen, image, &w->dataset->target, click, clicks, error)
-                                    : td_detect(&seen, image, &w->dataset->target, error);
+    const td_status status =
+        clicks ? td_marks_detect(&seen, image, &open_of(w)->dataset->target, click, clicks, error)
+               : td_detect(&seen, image, &open_of(w)->dataset->target, error);
     if (status != TD_OK) {
         td_detection_free(&seen);
         return status;
@@ -121,7 +127,7 @@ td_status workbench_marks(json_t **answer, workbench *w, const td_field *a, td_e
     td_click click[TD_MAX_CLICKS] = {{0}};
     td_image *image = NULL;
     TD_TRY(need_target(w, error));
-    TD_TRY(workbench_image(&frame, &camera, &path, w, a, error));
+    TD_TRY(workbench_image(&frame, &camera, &path, open_of(w), a, error));
     TD_TRY(td_image_read(&image, path, 1, error));
     td_status status = check_size(w, camera, image, path, error);
     if (status == TD_OK) status = read_clicks(click, &clicks, a, w, image, error);
@@ -135,7 +141,7 @@ td_status workbench_marks(json_t **answer, workbench *w, const td_field *a, td_e
 
 static td_status look_at_rest(workbench *w, td_error *error)
 {
-    const td_dataset *d = w->dataset;
+    const td_dataset *d = open_of(w)->dataset;
     for (size_t f = 0; f < d->frame_count; f++)
         for (int c = 0; c < d->camera_count; c++) {
             td_image *image = NULL;
@@ -151,7 +157,7 @@ static td_status look_at_rest(workbench *w, td_error *error)
 
 static td_status gather(td_observations **made, const workbench *w, td_error *error)
 {
-    const td_dataset *d = w->dataset;
+    const td_dataset *d = open_of(w)->dataset;
     TD_TRY(td_observations_new(made, &d->target, d->camera_count, d->frame_count, error));
     td_observations *o = *made;
     for (int c = 0; c < d->camera_count; c++) {
@@ -203,7 +209,7 @@ static json_t *wish_json(const td_dataset *d, const td_calibration *k, const td_
 
 static json_t *views_json(const workbench *w)
 {
-    const td_dataset *d = w->dataset;
+    const td_dataset *d = open_of(w)->dataset;
     json_t *list = json_array();
     for (size_t f = 0; f < d->frame_count; f++)
         for (int c = 0; c < d->camera_count; c++) {
@@ -220,7 +226,7 @@ static json_t *views_json(const workbench *w)
 static json_t *coverage_answer(const workbench *w, const td_observations *o, const td_calibration *k,
                                const char *trouble)
 {
-    const td_dataset *d = w->dataset;
+    const td_dataset *d = open_of(w)->dataset;
     json_t *cameras = json_array();
     for (int c = 0; c < d->camera_count; c++) json_array_append_new(cameras, coverage_json(d, c, k, o));
     return json_pack("{s:o, s:o, s:o, s:o, s:s}", "cameras", cameras, "views", views_json(w), "next",
@@ -252,7 +258,7 @@ td_status workbench_coverage(json_t **answer, workbench *w, const td_field *a, t
 
 static td_status write_clicks(const workbench *w, const char *path, size_t *count, td_error *error)
 {
-    const td_dataset *d = w->dataset;
+    const td_dataset *d = open_of(w)->dataset;
     char *text = NULL;
     size_t size = 0;
     FILE *out = open_memstream(&text, &size);
@@ -335,7 +341,7 @@ static td_status solve(json_t **answer, const workbench *w, const char *name, ch
                        td_error *error)
 {
     char *program = td_path_join(w->self, "calibrate"), *said = NULL, last[400],
-         *dataset = strdup(w->open->path);
+         *dataset = strdup(open_of(w)->place->path);
     size_t count = 0, size = 0;
     int code = 0;
     td_status status =
@@ -368,7 +374,7 @@ td_status workbench_calibrate(json_t **answer, workbench *w, const td_field *a, 
     char name[TD_NAME_SIZE + 16], *folder = NULL, *clicks = NULL;
     (void)a;
     TD_TRY(need_target(w, error));
-    snprintf(name, sizeof name, "calibrated/%s", w->open->name);
+    snprintf(name, sizeof name, "calibrated/%s", open_of(w)->place->name);
     TD_TRY(workbench_folder(&folder, w->output, name, error));
     td_status status = workbench_folder(&clicks, folder, "clicks.csv", error);
     if (status == TD_OK) status = solve(answer, w, name, folder, clicks, error);

@@ -53,17 +53,24 @@ typedef struct workbench_view {
     size_t clicks;
 } workbench_view;
 
+/* Calibrating and matching each have a dataset open, so that one does not end the other's work. */
+typedef enum workbench_use { WORKBENCH_CALIBRATE, WORKBENCH_MATCH, WORKBENCH_USES } workbench_use;
+
+typedef struct workbench_open_place {
+    const workbench_place *place; /* NULL: nothing is open */
+    td_dataset *dataset;
+    bool has_target;
+} workbench_open_place;
+
 typedef struct workbench {
     const char *output, *self; /* self: the folder of the programs */
     workbench_place place[WORKBENCH_PLACES];
     size_t places;
-    /* What is open: */
-    const workbench_place *open; /* NULL: nothing */
-    td_dataset *dataset;
-    bool has_target;
+    workbench_open_place open[WORKBENCH_USES];
+    /* Of what is calibrated: */
     workbench_view *view; /* (frames,cameras) */
     int width[TD_RIG_MAX_CAMERAS], height[TD_RIG_MAX_CAMERAS];
-    /* A pair of it: */
+    /* Of what is matched, a pair: */
     match_job match; /* its points, as teledimos match has them */
     bool has_pair;
     long named;          /* points so far: each has a number of its own */
@@ -84,9 +91,10 @@ void workbench_close(workbench *w);
 td_status workbench_dataset(td_dataset **dataset, bool *has_target, const workbench_place *place,
                             td_error *error);
 /* The arguments `frame` and `camera` of what is open; `path` of their image. */
-td_status workbench_image(size_t *frame, int *camera, const char **path, const workbench *w,
+td_status workbench_image(size_t *frame, int *camera, const char **path, const workbench_open_place *open,
                           const td_field *a, td_error *error);
-td_status workbench_frame(size_t *frame, const workbench *w, const td_field *a, td_error *error);
+td_status workbench_frame(size_t *frame, const workbench_open_place *open, const td_field *a,
+                          td_error *error);
 /* The rig of a place: of its calibration here, else its own; NULL: neither. To be freed with free(). */
 char *workbench_rig(const workbench *w, const workbench_place *place, const td_dataset *dataset,
                     bool *calibrated);

@@ -12,6 +12,11 @@
 
 enum { CURVE_POINTS = 96, INTEREST_POINTS = 400 };
 
+static const workbench_open_place *open_of(const workbench *w)
+{
+    return w->open + WORKBENCH_MATCH;
+}
+
 static td_status need_pair(const workbench *w, td_error *error)
 {
     return w->has_pair ? TD_OK : td_fail(error, TD_ERROR_ARGUMENT, "no pair is open: MatchOpen first");
@@ -61,7 +66,7 @@ void workbench_unpair(workbench *w)
 static td_status read_rig(workbench *w, const td_field *a, bool *calibrated, td_error *error)
 {
     const td_field from = td_field_get(a, "rig");
-    const workbench_place *place = w->open;
+    const workbench_place *place = open_of(w)->place;
     td_dataset *d = NULL;
     bool has_target;
     if (from.value) {
@@ -86,10 +91,10 @@ static td_status read_rig(workbench *w, const td_field *a, bool *calibrated, td_
 static td_status pair_up(workbench *w, size_t frame, td_error *error)
 {
     match_job *m = &w->match;
-    const td_dataset *d = w->dataset;
+    const td_dataset *d = open_of(w)->dataset;
     int camera[2] = {0, 1};
     if (d->camera_count < 2 || m->rig->count < 2)
-        return td_fail(error, TD_ERROR_DATA, "%s: one camera makes no pair", w->open->name);
+        return td_fail(error, TD_ERROR_DATA, "%s: one camera makes no pair", open_of(w)->place->name);
     for (int k = 0; k < 2; k++) {
         const int found = td_rig_find(m->rig, d->camera[k].name);
         if (found >= 0) camera[k] = found;
@@ -126,8 +131,8 @@ static td_status read_depths(match_job *m, const td_field *a, td_error *error)
 static json_t *side_json(const workbench *w, int side)
 {
     const td_image *i = w->match.image[side];
-    return json_pack("{s:s, s:i, s:i}", "camera", w->dataset->camera[side].name, "width", i->width, "height",
-                     i->height);
+    return json_pack("{s:s, s:i, s:i}", "camera", open_of(w)->dataset->camera[side].name, "width", i->width,
+                     "height", i->height);
 }
 
 td_status workbench_pair(json_t **answer, workbench *w, const td_field *a, td_error *error)
@@ -135,7 +140,7 @@ td_status workbench_pair(json_t **answer, workbench *w, const td_field *a, td_er
     size_t frame;
     bool calibrated = false;
     match_job *m = &w->match;
-    TD_TRY(workbench_frame(&frame, w, a, error));
+    TD_TRY(workbench_frame(&frame, open_of(w), a, error));
     workbench_unpair(w);
     td_status status = read_depths(m, a, error);
     if (status == TD_OK) status = read_rig(w, a, &calibrated, error);
@@ -149,11 +154,11 @@ td_status workbench_pair(json_t **answer, workbench *w, const td_field *a, td_er
         return status;
     }
     w->has_pair = true;
-    *answer = json_pack("{s:s, s:o, s:o, s:s, s:b, s:s, s:o, s:i}", "frame", w->dataset->frame[frame].name,
-                        "left", side_json(w, 0), "right", side_json(w, 1), "rig",
-                        calibrated ? "calibrated" : "own", "calibration_known", m->rig->covariance != NULL,
-                        "in", m->rig->has_vehicle ? "vehicle" : "rig", "baseline_m",
-                        td_json_real(m->pair.baseline_m), "window_px", 2 * m->options.half_window + 1);
+    *answer = json_pack(
+        "{s:s, s:o, s:o, s:s, s:b, s:s, s:o, s:i}", "frame", open_of(w)->dataset->frame[frame].name, "left",
+        side_json(w, 0), "right", side_json(w, 1), "rig", calibrated ? "calibrated" : "own",
+        "calibration_known", m->rig->covariance != NULL, "in", m->rig->has_vehicle ? "vehicle" : "rig",
+        "baseline_m", td_json_real(m->pair.baseline_m), "window_px", 2 * m->options.half_window + 1);
     return TD_OK;
 }
 
@@ -357,7 +362,7 @@ td_status workbench_export(json_t **answer, workbench *w, const td_field *a, td_
     (void)a;
     TD_TRY(need_pair(w, error));
     if (!m->count) return td_fail(error, TD_ERROR_DATA, "there are no points yet");
-    snprintf(folder_name, sizeof folder_name, "points/%s", w->open->name);
+    snprintf(folder_name, sizeof folder_name, "points/%s", open_of(w)->place->name);
     TD_TRY(workbench_folder(&folder, w->output, folder_name, error));
     td_status status = td_folder_make(folder, error);
     json_t *files = json_array();

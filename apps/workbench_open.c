@@ -194,17 +194,27 @@ td_status workbench_benches(json_t **answer, workbench *w, const td_field *a, td
     return TD_OK;
 }
 
+static void close_one(workbench *w, workbench_use use)
+{
+    workbench_open_place *o = w->open + use;
+    if (use == WORKBENCH_CALIBRATE) {
+        for (size_t i = 0; o->dataset && i < o->dataset->frame_count * (size_t)o->dataset->camera_count; i++)
+            td_detection_free(&w->view[i].detection);
+        free(w->view);
+        w->view = NULL;
+        memset(w->width, 0, sizeof w->width);
+        memset(w->height, 0, sizeof w->height);
+    } else {
+        workbench_unpair(w);
+    }
+    td_dataset_free(&o->dataset);
+    *o = (workbench_open_place){0};
+}
+
 void workbench_close(workbench *w)
 {
-    workbench_unpair(w);
-    for (size_t i = 0; w->dataset && i < w->dataset->frame_count * (size_t)w->dataset->camera_count; i++)
-        td_detection_free(&w->view[i].detection);
-    free(w->view);
-    w->view = NULL;
-    w->open = NULL;
-    td_dataset_free(&w->dataset);
-    memset(w->width, 0, sizeof w->width);
-    memset(w->height, 0, sizeof w->height);
+    close_one(w, WORKBENCH_CALIBRATE);
+    close_one(w, WORKBENCH_MATCH);
 }
 
 static json_t *frames_json(const td_dataset *d)
@@ -219,72 +229,86 @@ static json_t *frames_json(const td_dataset *d)
     return list;
 }
 
-static json_t *target_json(const workbench *w)
+static json_t *target_json(const workbench_open_place *o)
 {
-    const td_target *t = &w->dataset->target;
+    const td_target *t = &o->dataset->target;
     char text[120];
-    if (!w->has_target) return json_null();
+    if (!o->has_target) return json_null();
     return json_pack("{s:s, s:s, s:i, s:i, s:I, s:b}", "text", td_target_describe(text, sizeof text, t),
                      "kind", td_target_kind_name(t->kind), "columns", t->plane[0].columns, "rows",
                      t->plane[0].rows, "points", (json_int_t)td_target_point_count(t), "clickable",
                      t->kind == TD_TARGET_MARKS);
 }
 
+static td_status open_one(workbench *w, workbench_use use, const workbench_place *place, td_error *error)
+{
+    workbench_open_place o = {.place = place};
+    workbench_view *view = NULL;
+    TD_TRY(workbench_dataset(&o.dataset, &o.has_target, place, error));
+    if (use == WORKBENCH_CALIBRATE) {
+        view = calloc(o.dataset->frame_count * (size_t)o.dataset->camera_count + 1, sizeof *view);
+        if (!view) {
+            td_dataset_free(&o.dataset);
+            return td_fail(error, TD_ERROR_MEMORY, "no memory for %s", place->name);
+        }
+    }
+    close_one(w, use);
+    w->open[use] = o;
+    if (view) w->view = view;
+    return TD_OK;
+}
+
+static const char *const uses[] = {"calibrate", "match", NULL};
+
 td_status workbench_open(json_t **answer, workbench *w, const td_field *a, td_error *error)
 {
-    const td_field bench = td_field_get(a, "bench");
+    const td_field bench = td_field_get(a, "bench"), use = td_field_get(a, "for");
     const char *name;
-    td_dataset *d = NULL;
-    bool has_target, calibrated;
+    int only = -1;
+    bool calibrated;
     TD_TRY(td_field_string(&name, &bench, error));
+    if (use.value) TD_TRY(td_field_choice(&only, &use, uses, "calibrate or match", error));
     const workbench_place *place = workbench_find(w, name);
     if (!place) return td_field_fail(&bench, error, "there is no bench of that name; Benches lists them");
-    TD_TRY(workbench_dataset(&d, &has_target, place, error));
-    workbench_view *view = calloc(d->frame_count * (size_t)d->camera_count + 1, sizeof *view);
-    if (!view) {
-        td_dataset_free(&d);
-        return td_fail(error, TD_ERROR_MEMORY, "no memory for %s", name);
-    }
-    workbench_close(w);
-    w->open = place;
-    w->dataset = d;
-    w->has_target = has_target;
-    w->view = view;
-    char *rig = workbench_rig(w, place, d, &calibrated);
-    *answer = json_pack("{s:s, s:o, s:o, s:o, s:s}", "bench", place->name, "cameras", cameras_json(d),
-                        "frames", frames_json(d), "target", target_json(w), "rig",
-                        !rig         ? ""
-                        : calibrated ? "calibrated"
-                                     : "own");
+    for (int k = 0; k < WORKBENCH_USES; k++)
+        if (only < 0 || only == k) TD_TRY(open_one(w, (workbench_use)k, place, error));
+    const workbench_open_place *o = w->open + (only < 0 ? 0 : only);
+    char *rig = workbench_rig(w, place, o->dataset, &calibrated);
+    *answer =
+        json_pack("{s:s, s:o, s:o, s:o, s:s}", "bench", place->name, "cameras", cameras_json(o->dataset),
+                  "frames", frames_json(o->dataset), "target", target_json(o), "rig",
+                  !rig         ? ""
+                  : calibrated ? "calibrated"
+                               : "own");
     free(rig);
     return TD_OK;
 }
 
 /* ---- a picture ---- */
 
-td_status workbench_frame(size_t *frame, const workbench *w, const td_field *a, td_error *error)
+td_status workbench_frame(size_t *frame, const workbench_open_place *o, const td_field *a, td_error *error)
 {
     const td_field f = td_field_get(a, "frame");
     const char *name;
-    if (!w->open) return td_fail(error, TD_ERROR_ARGUMENT, "no bench is open: OpenBench first");
+    if (!o->place) return td_fail(error, TD_ERROR_ARGUMENT, "no bench is open: OpenBench first");
     TD_TRY(td_field_string(&name, &f, error));
-    for (*frame = 0; *frame < w->dataset->frame_count; ++*frame)
-        if (strcmp(w->dataset->frame[*frame].name, name) == 0) return TD_OK;
-    return td_field_fail(&f, error, "%s has no frame of that name", w->open->name);
+    for (*frame = 0; *frame < o->dataset->frame_count; ++*frame)
+        if (strcmp(o->dataset->frame[*frame].name, name) == 0) return TD_OK;
+    return td_field_fail(&f, error, "%s has no frame of that name", o->place->name);
 }
 
-td_status workbench_image(size_t *frame, int *camera, const char **path, const workbench *w,
+td_status workbench_image(size_t *frame, int *camera, const char **path, const workbench_open_place *o,
                           const td_field *a, td_error *error)
 {
     const td_field c = td_field_get(a, "camera");
     const char *name;
-    TD_TRY(workbench_frame(frame, w, a, error));
-    const td_dataset *d = w->dataset;
+    TD_TRY(workbench_frame(frame, o, a, error));
+    const td_dataset *d = o->dataset;
     TD_TRY(td_field_string(&name, &c, error));
     for (*camera = 0; *camera < d->camera_count; ++*camera)
         if (strcmp(d->camera[*camera].name, name) == 0) break;
     if (*camera == d->camera_count)
-        return td_field_fail(&c, error, "%s has no camera of that name", w->open->name);
+        return td_field_fail(&c, error, "%s has no camera of that name", o->place->name);
     *path = d->frame[*frame].image[*camera];
     if (!*path)
         return td_fail(error, TD_ERROR_NOT_FOUND, "frame %s has no image of camera %s", d->frame[*frame].name,
@@ -343,11 +367,13 @@ td_status workbench_jpeg(json_t **picture, const td_image *image, int quality, t
 td_status workbench_picture(json_t **answer, workbench *w, const td_field *a, td_error *error)
 {
     enum { QUALITY = 92 };
+    const td_field of = td_field_get(a, "for");
     size_t frame;
-    int camera;
+    int camera, use = WORKBENCH_CALIBRATE;
     const char *path;
     td_image *image = NULL, *grey = NULL;
-    TD_TRY(workbench_image(&frame, &camera, &path, w, a, error));
+    if (of.value) TD_TRY(td_field_choice(&use, &of, uses, "calibrate or match", error));
+    TD_TRY(workbench_image(&frame, &camera, &path, w->open + use, a, error));
     TD_TRY(td_image_read(&image, path, 3, error));
     td_status status =
         image->width > MOST_WIDTH || image->height > MOST_WIDTH

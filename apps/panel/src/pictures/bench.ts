@@ -1,4 +1,5 @@
-// This client's bench at the server: which dataset is open, and what is asked of it. Views share it, for there is one.
+// This client's bench at the server: which dataset is open for a view, and what is asked of it. Calibrating and matching each
+// have one open, so that neither ends the other's work.
 //
 // A bench that was lost (its process ended, or the connection) is opened again by itself when it is next needed; what was
 // clicked is then asked for anew by the views ("reopened").
@@ -39,25 +40,21 @@ export interface Asked<T> {
 }
 
 export class Bench {
-  private static readonly all = new WeakMap<Link, Bench>();
   rows: BenchRow[] = [];
   opened: Opened | null = null;
   private wanted = '';
   private me = 0;
   private listeners = new Set<(what: 'rows' | 'opened' | 'lost') => void>();
 
-  static of(link: Link): Bench {
-    let bench = Bench.all.get(link);
-    if (!bench) Bench.all.set(link, (bench = new Bench(link)));
-    return bench;
-  }
-
-  private constructor(readonly link: Link) {
+  constructor(
+    readonly link: Link,
+    readonly use: 'calibrate' | 'match',
+  ) {
+    // Another connection has another bench; one that is silent for a while has the same.
     link.onChange(() => {
-      const me = link.state === 'live' ? link.me : 0;
-      if (me === this.me) return;
-      this.me = me;
-      if (!me) return;
+      if (!link.me) this.me = 0;
+      if (link.me === this.me || !this.there) return;
+      this.me = link.me;
       const lost = this.opened !== null;
       this.opened = null;
       if (lost) this.tell('lost');
@@ -85,16 +82,23 @@ export class Bench {
     if (!answer.ok) return;
     this.rows = (answer.response as { benches: BenchRow[] }).benches;
     this.tell('rows');
+    // Pictures that were stored meanwhile. (A pair's points would be lost by it: there a person opens it again.)
+    const row = this.rows.find((r) => r.bench === this.opened?.bench);
+    if (this.use === 'calibrate' && row?.frames !== undefined && row.frames !== this.opened!.frames.length) await this.open(row.bench);
   }
 
   async open(name: string): Promise<Answer> {
-    const answer = await this.link.call('OpenBench', { bench: name }, 20);
+    const answer = await this.link.call('OpenBench', { bench: name, for: this.use }, 20);
     if (answer.ok) {
       this.wanted = name;
       this.opened = answer.response as Opened;
       this.tell('opened');
     }
     return answer;
+  }
+
+  picture(frame: string, camera: string): Promise<Asked<Picture>> {
+    return this.ask<Picture>('Picture', { frame, camera, for: this.use });
   }
 
   /** Never rejects. Where the bench was lost it is opened again, and asked once more. */

@@ -13,6 +13,7 @@ export interface Mark {
   colour: string; // of the style sheet: --p1
   label?: string;
   strong?: boolean;
+  below?: boolean; // its label
 }
 
 export interface Line {
@@ -58,14 +59,17 @@ export class Pane {
   private readonly box: HTMLElement;
   private readonly empty = h('p', { class: 'empty' }, 'no picture');
 
+  private readonly name = h('span', { class: 'name' });
+
   constructor(name: string) {
+    write(this.name, name);
     const help = newId();
     const button = (label: string, text: string, click: () => void) => h('button', { type: 'button', class: 'small', 'aria-label': `${label}, ${name}`, title: label, click }, text);
     this.box = h('div', { class: 'pane', tabindex: 0, role: 'application', 'aria-label': name, 'aria-describedby': help, 'data-arrows': true }, this.canvas, this.loupe, this.empty);
     this.root = h(
       'figure',
       { class: 'picture-box' },
-      h('figcaption', {}, h('span', { class: 'name' }, name), this.place, h('span', { class: 'zooms' }, button('Larger', '+', () => this.zoom(1.5)), button('Smaller', '−', () => this.zoom(1 / 1.5)), button('All of it', '⤢', () => this.fit()))),
+      h('figcaption', {}, this.name, this.place, h('span', { class: 'zooms' }, button('Larger', '+', () => this.zoom(1.5)), button('Smaller', '−', () => this.zoom(1 / 1.5)), button('All of it', '⤢', () => this.fit()))),
       this.box,
       h('p', { class: 'hidden', id: help }, 'Arrow keys move the cursor by one pixel, with Shift by ten, with Alt by a tenth. Enter clicks, plus and minus zoom, 0 shows all.'),
       this.spoken,
@@ -97,6 +101,11 @@ export class Pane {
     this.box.style.aspectRatio = `${this.width} / ${this.height}`;
     if (!same) this.fit();
     this.draw();
+  }
+
+  rename(name: string): void {
+    write(this.name, name);
+    this.box.setAttribute('aria-label', `Picture ${name}`);
   }
 
   clear(text: string): void {
@@ -394,6 +403,7 @@ function drawMark(c: CanvasRenderingContext2D, m: Mark, [x, y]: [number, number]
   if (!m.label) return;
   c.font = `${m.strong ? 700 : 600} 12px system-ui, sans-serif`;
   c.lineWidth = 3;
-  if (edge) c.strokeText(m.label, x + size + 2, y - size + 1);
-  else c.fillText(m.label, x + size + 2, y - size + 1);
+  const down = m.below ? size + 11 : 1 - size;
+  if (edge) c.strokeText(m.label, x + size + 2, y + down);
+  else c.fillText(m.label, x + size + 2, y + down);
 }

@@ -3,7 +3,7 @@
 import '../pictures/pictures.css';
 import { card, h, number, write } from '../dom';
 import type { Link } from '../link';
-import { Bench, nothing } from '../pictures/bench';
+import { nothing } from '../pictures/bench';
 import { Pane } from '../pictures/pane';
 
 export const id = 'acquire';
@@ -35,20 +35,18 @@ const STALE_MS = 2500; // a state comes each half second
 class Focus {
   readonly root: HTMLElement;
   private readonly value = h('dd', {}, '–');
-  private readonly bar = h('div', {});
 
   constructor(name: string) {
-    this.root = h('div', { class: 'focus' }, h('div', {}, h('dt', {}, name), this.value), h('dd', { class: 'bar', 'aria-hidden': 'true' }, this.bar));
+    this.root = h('div', { class: 'focus' }, h('dt', {}, name), this.value);
   }
 
   show(now: number | null, best: number | null): void {
     write(this.value, `${number(now, 1)} (best ${number(best, 1)})`);
-    this.bar.style.width = now && best ? `${Math.round((100 * now) / best)}%` : '0';
+    this.root.style.setProperty('--share', now && best ? `${Math.round((100 * now) / best)}%` : '0%');
   }
 }
 
 export function mount(root: HTMLElement, link: Link): void {
-  const bench = Bench.of(link);
   const panes = [new Pane('Left'), new Pane('Right')];
   const word = h('p', { class: 'state-word' }, 'waiting');
   const trouble = h('p', { class: 'error', role: 'alert', hidden: true });
@@ -68,7 +66,6 @@ export function mount(root: HTMLElement, link: Link): void {
     const stored = answer.response as { folder?: string; frame?: string } | undefined;
     told.className = `told ${answer.ok ? 'good' : 'bad'}`;
     write(told, `${service}: ${answer.ok && stored?.frame ? `as frame ${stored.frame} of ${stored.folder}` : answer.text}`);
-    if (answer.ok && service === 'Store') void bench.refresh();
   };
 
   const update = () => {
@@ -94,7 +91,7 @@ export function mount(root: HTMLElement, link: Link): void {
     panes[1].root.hidden = focus[1].root.hidden = !two;
     state.focus.forEach((f, k) => focus[k].show(f, state!.best_focus[k]));
     const white = state.saturated_share.map((w) => `${number(100 * (w ?? 0), 2)} %`).join(', ');
-    const values = [s.skew_s === null || s.skew_s === undefined ? (two ? 'not told by the source' : 'one camera') : `${number(1e3 * s.skew_s, 1)} ms`, String(s.seen ?? 0), String(s.stored ?? 0), white || '–'];
+    const values = [s.skew_s === null || s.skew_s === undefined ? (two ? 'not told' : 'one camera') : `${number(1e3 * s.skew_s, 1)} ms`, String(s.seen ?? 0), String(s.stored ?? 0), white || '–'];
     facts.forEach((f, k) => write(f.value, values[k]));
     write(names, state.names.join(', '));
     update();

@@ -4,7 +4,7 @@
 import '../pictures/pictures.css';
 import { card, h, number, s, write } from '../dom';
 import type { Link } from '../link';
-import { Bench, chooser, nothing, type Picture } from '../pictures/bench';
+import { Bench, chooser, nothing } from '../pictures/bench';
 import { Pane, type Line, type Mark } from '../pictures/pane';
 import { resultTable, type Result } from '../pictures/result';
 
@@ -83,12 +83,13 @@ class View {
   private found = new Map<string, Found>();
   private covered: Coverage | null = null;
   private solving = false;
+  private last = ''; // the picture that was looked at
 
   constructor(
     root: HTMLElement,
     private readonly link: Link,
   ) {
-    this.bench = Bench.of(link);
+    this.bench = new Bench(link, 'calibrate');
     this.numbering = card('Which mark is which', this.clickHelp, this.grid, this.clickList, this.again);
     this.pane.onPick = (x, y) => this.click(x, y);
     this.list.addEventListener('keydown', (event) => this.onListKey(event));
@@ -99,7 +100,7 @@ class View {
       h(
         'div',
         { class: 'wide' },
-        card('Picture', this.pane.root, this.said, this.facts),
+        card('Marks in the picture', this.pane.root, this.said, this.facts),
         h('div', { class: 'halves' }, card('What the views cover', this.look, this.cover, this.wish), card('Calibration', this.solveWhy, this.solve, this.solveTold, this.result)),
       ),
     );
@@ -138,7 +139,7 @@ class View {
     this.current = -1;
     this.update();
     await this.askAgain();
-    if (this.rows.length) await this.choose(0);
+    if (this.rows.length) await this.choose(Math.max(0, this.rows.findIndex((r) => this.key(r.frame, r.camera) === this.last)));
   }
 
   /** Clicks that were given before the bench was lost. */
@@ -164,18 +165,20 @@ class View {
   private async choose(i: number): Promise<void> {
     this.current = i;
     const { frame, camera, row } = this.rows[i];
+    this.last = this.key(frame, camera);
     for (const r of this.rows) r.row.setAttribute('aria-selected', String(r === this.rows[i]));
     this.list.setAttribute('aria-activedescendant', row.id);
     row.scrollIntoView({ block: 'nearest' });
     this.clicks = this.found.get(this.key(frame, camera))?.clicks.slice() ?? this.kept.get(this.key(frame, camera))?.slice() ?? [];
     this.nextMark();
     this.drawMarks();
-    const answer = await this.bench.ask<Picture>('Picture', { frame, camera });
+    const answer = await this.bench.picture(frame, camera);
     if (this.current !== i) return;
     if (!answer.ok) {
       this.pane.clear(answer.text);
       return;
     }
+    this.pane.rename(this.bench.opened!.cameras.length > 1 ? `${frame} ${camera}` : frame);
     await this.pane.show(answer.value.format, answer.value.data);
     write(this.facts, `${answer.value.width} × ${answer.value.height} px, focus ${number(answer.value.focus, 1)}, at white ${number(100 * (answer.value.saturated_share ?? 0), 2)} %`);
     if (!this.bench.opened?.target) write(this.said, 'Its dataset does not say what target is seen: there is nothing to find.');

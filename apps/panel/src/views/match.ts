@@ -4,7 +4,7 @@
 import '../pictures/pictures.css';
 import { card, h, newId, number, write } from '../dom';
 import type { Link } from '../link';
-import { Bench, chooser, nothing, select, type Picture } from '../pictures/bench';
+import { Bench, chooser, nothing, select } from '../pictures/bench';
 import { Pane, type Line, type Mark } from '../pictures/pane';
 import { Plan } from '../pictures/plan';
 
@@ -69,7 +69,7 @@ class View {
   private readonly body = h('tbody', {});
   private readonly candidateBox: HTMLElement;
   private readonly pointBody = h('tbody', {});
-  private readonly undo = h('button', { type: 'button', id: 'undo', click: () => void this.takeBack() }, 'Undo');
+  private readonly undo = h('button', { type: 'button', id: 'undo', click: () => void this.takeBack() }, 'Undo', h('kbd', {}, 'U'));
   private readonly save = h('button', { type: 'button', id: 'export', click: () => void this.store() }, 'Export');
   private readonly load = h('button', { type: 'button', id: 'csv', click: () => this.download() }, 'Save as CSV');
   private readonly saveTold = h('p', { class: 'told', role: 'status' });
@@ -85,7 +85,7 @@ class View {
     root: HTMLElement,
     private readonly link: Link,
   ) {
-    this.bench = Bench.of(link);
+    this.bench = new Bench(link, 'match');
     this.helps.checked = true;
     const field = (label: string, input: HTMLInputElement, unit: string) => h('div', { class: 'field' }, h('label', { for: input.id }, label), h('div', { class: 'input' }, input, h('span', { class: 'unit' }, unit)));
     const table = (label: string, heads: string[], body: HTMLElement) =>
@@ -106,7 +106,7 @@ class View {
         'div',
         { class: 'wide' },
         card('Left: say which point is meant. Right: choose where it is', h('div', { class: 'panes' }, this.left.root, this.right.root), this.told, this.candidateBox, h('p', { class: 'note' }, 'Candidates are chosen by a click on their ring or row, or by their number’s key; a click elsewhere in the right picture is taken as the place. * of matching alone: the rig does not tell how sure its calibration is.')),
-        card('Points in space', table('Points in space', ['Point', 'x m', 'y m', 'z m', 'σ mm', 'zncc', 'left px', 'right px'], this.pointBody)),
+        card('Points in space', table('The points, newest first', ['Point', 'x m', 'y m', 'z m', 'σ mm', 'zncc', 'left px', 'right px'], this.pointBody)),
       ),
     );
     root.append(nothing(link, 'OpenBench', 'This panel was begun without datasets. Those that may be worked on are named on its command line:', 'teledimos panel SCENARIO -o DIR --bench DATASET'), shown);
@@ -135,13 +135,15 @@ class View {
     this.interest = [];
     this.pairTold.className = 'told bad';
     write(this.pairTold, text);
+    write(this.told, '');
+    write(this.saveTold, '');
     this.showCandidates();
     this.showPoints();
   }
 
   private showRigs(): void {
     const o = this.bench.opened;
-    const rows = this.bench.rows.filter((r) => r.rig);
+    const rows = this.bench.rows.filter((r) => r.rig && (r.cameras?.length ?? 0) > 1);
     const own = rows.some((r) => r.bench === o?.bench);
     const chosen = own ? o!.bench : rows.some((r) => r.bench === this.rig.value()) ? this.rig.value() : (rows[0]?.bench ?? '');
     this.rig.set(
@@ -188,7 +190,7 @@ class View {
     const o = this.bench.opened;
     if (!o) return;
     for (const [k, pane] of [this.left, this.right].entries()) {
-      const answer = await this.bench.ask<Picture>('Picture', { frame, camera: o.cameras[k] });
+      const answer = await this.bench.picture(frame, o.cameras[k]);
       if (number_ !== this.opening) return;
       if (answer.ok) await pane.show(answer.value.format, answer.value.data);
       else pane.clear(answer.text);
@@ -347,7 +349,7 @@ class View {
     if (c) {
       left.push({ x: c.left[0], y: c.left[1], kind: 'cross', colour: '--p5', strong: true });
       lines.push({ points: c.curve, colour: '--p2' });
-      c.candidates.forEach((m, k) => right.push({ x: m.right[0], y: m.right[1], kind: 'ring', colour: '--p5', strong: k === 0, label: String(k + 1) }));
+      c.candidates.forEach((m, k) => right.push({ x: m.right[0], y: m.right[1], kind: 'ring', colour: '--p5', strong: k === 0, label: String(k + 1), below: k % 2 === 1 }));
     }
     this.left.marks = left;
     this.right.marks = right;
