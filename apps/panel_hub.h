@@ -9,7 +9,7 @@
 
 #include "apps/panel_protocol.h"
 
-enum { PANEL_MAX_CHANNELS = 16, PANEL_MAX_SUBSCRIPTIONS = 64, PANEL_MAX_REPLIES = 256 };
+enum { PANEL_MAX_CHANNELS = 32, PANEL_MAX_SUBSCRIPTIONS = 64, PANEL_MAX_REPLIES = 256 };
 
 typedef struct panel_frame {
     int holders;
