@@ -47,7 +47,7 @@ export class Path {
   constructor(material: LineBasicMaterial | LineDashedMaterial) {
     this.line = new Line(new BufferGeometry(), material);
     this.line.frustumCulled = false;
-    this.line.renderOrder = 2;
+    this.line.renderOrder = 4;
     this.put();
   }
 
@@ -199,8 +199,8 @@ export class SiteScene {
     this.controls.minDistance = 1;
     this.controls.maxDistance = 300;
     this.controls.addEventListener('change', () => this.draw());
-    this.planned = new Path(new LineDashedMaterial({ dashSize: 0.12, gapSize: 0.08 }));
-    this.predicted = new Path(new LineBasicMaterial());
+    this.planned = new Path(new LineDashedMaterial({ dashSize: 0.12, gapSize: 0.08, depthTest: false, transparent: true }));
+    this.predicted = new Path(new LineBasicMaterial({ depthTest: false, transparent: true, opacity: 0.9 }));
     this.floor = new GridHelper(40, 40).rotateX(Math.PI / 2);
     const sun = new DirectionalLight(0xffffff, 2.2);
     sun.position.set(-3, 3, 6);

@@ -17,6 +17,11 @@ const COLOURINGS: [Colouring, string][] = [
   ['difference', 'Change'],
 ];
 
+/** Four digits of a probability say more than is known. */
+function chance(p: number): string {
+  return p < 1e-4 ? 'below 0.0001' : p > 0.9999 ? 'above 0.9999' : p.toPrecision(2);
+}
+
 /** Radio buttons that look like one bar. */
 function choice<T extends string>(legend: string, options: [T, string][], first: T, take: (value: T) => void): { root: HTMLElement; set: (value: T) => void } {
   const group = newId();
@@ -233,12 +238,13 @@ class SiteView {
     if (about.has('clearance_m')) {
       const sigma = about.has('sigma_m') ? ` ± ${number(Number(about.get('sigma_m')), 3)}` : '';
       rows.push(['least clearance', `${number(Number(about.get('clearance_m')), 3)}${sigma} m`]);
-      rows.push(['of', `${about.get('link') ?? ''} at ${number(Number(about.get('time_s')), 2)} s`]);
+      rows.push(['nearest', `${about.get('link') ?? ''} at ${number(Number(about.get('time_s')), 2)} s`]);
     }
-    if (about.has('probability')) rows.push(['probability of contact', Number(about.get('probability')).toPrecision(2)]);
+    if (about.has('probability')) rows.push(['probability of contact', chance(Number(about.get('probability')))]);
+    if (about.get('verdict') === 'refused') rows.push(['verdict', 'refused: the ground is in the way']);
     this.path.replaceChildren(
       rows.length
-        ? h('dl', { class: 'facts' }, ...rows.map(([k, v]) => h('div', { class: k.startsWith('prob') && Number(v) > 0.01 ? 'warn' : '' }, h('dt', {}, k), h('dd', {}, v))))
+        ? h('dl', { class: 'facts' }, ...rows.map(([k, v]) => h('div', { class: k === 'verdict' ? 'bad' : '' }, h('dt', {}, k), h('dd', {}, v))))
         : h('p', { class: 'note' }, this.player ? 'A recording holds no plan.' : 'No motion is planned. It is shown when one begins, with its clearance where there is a map.'),
     );
   }

@@ -1,7 +1,7 @@
 // The ground: an elevation map as a surface whose colours say height, sigma, where the height is from, or what has changed.
 // Its light is in the colours, so that drawing it costs a texture and no more.
 
-import { BufferAttribute, BufferGeometry, ClampToEdgeWrapping, DataTexture, LinearFilter, Mesh, MeshBasicMaterial, RGBAFormat, SRGBColorSpace, Vector3 } from 'three';
+import { BufferAttribute, BufferGeometry, ClampToEdgeWrapping, DataTexture, LinearFilter, Mesh, MeshBasicMaterial, RGBAFormat, Sphere, SRGBColorSpace, Vector3 } from 'three';
 import type { Grid } from '../messages';
 
 export type Colouring = 'height' | 'sigma' | 'provenance' | 'difference';
@@ -151,6 +151,8 @@ export class Terrain {
       geometry.setAttribute('position', new BufferAttribute(new Float32Array(3 * nc * nr), 3));
       geometry.setAttribute('uv', new BufferAttribute(uv, 2));
     }
+    const middle = new Vector3(m.x + (m.columns * m.cell) / 2, m.y + (m.rows * m.cell) / 2, 0);
+    geometry.boundingSphere = new Sphere(middle, m.cell * Math.hypot(m.columns, m.rows));
     const position = geometry.getAttribute('position') as BufferAttribute;
     const at = position.array as Float32Array;
     for (let r = 0, k = 0; r < nr; r++)
