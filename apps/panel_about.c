@@ -1,6 +1,7 @@
 #include "apps/panel_about.h"
 
 #include <math.h>
+#include <stdlib.h>
 
 #include "core/document.h"
 
@@ -118,4 +119,56 @@ json_t *panel_about_json(const scenario *s, const panel_parameter *list, int cou
                      task->frame == TD_TASK_SITE ? "site" : "vehicle", "period_s", s->period_s, "ground",
                      s->map != NULL, "joints", joints_json(s->robot), "parameters", parameters, "behaviour",
                      panel_behaviour_json());
+}
+
+/* ---- a motion that is to begin ---- */
+
+static void add_fact(json_t *list, const char *key, json_t *value)
+{
+    char *text = json_is_string(value) ? NULL : json_dumps(value, JSON_ENCODE_ANY | JSON_REAL_PRECISION(6));
+    json_array_append_new(list, json_pack("{s:s, s:s}", "key", key, "value",
+                                          text                    ? text
+                                          : json_is_string(value) ? json_string_value(value)
+                                                                  : ""));
+    free(text);
+    json_decref(value);
+}
+
+static json_t *plan_facts(const live_plan *p, const td_robot *robot)
+{
+    const td_clearance *c = &p->clearance;
+    json_t *list = json_array();
+    add_fact(list, "duration_s", json_real(p->duration_s));
+    add_fact(list, "verdict", json_string(p->clear ? "clear" : "refused"));
+    if (!p->checked) return list;
+    add_fact(list, "probability", json_real(c->probability));
+    add_fact(list, "sigma_probability", json_real(c->sigma_probability));
+    if (c->nearest.link < 0 || !isfinite(c->nearest.clearance_m)) return list;
+    add_fact(list, "clearance_m", json_real(c->nearest.clearance_m));
+    add_fact(list, "link", json_string(robot->link[c->nearest.link].name));
+    add_fact(list, "time_s", json_real(c->nearest.time_s));
+    if (c->likely.link >= 0) add_fact(list, "sigma_m", json_real(c->likely_sigma_m));
+    return list;
+}
+
+json_t *panel_plan_json(const live_plan *p, const td_robot *robot)
+{
+    json_t *points = json_array();
+    for (int i = 0; i < LIVE_PLAN_POINTS; i++)
+        json_array_append_new(points, json_pack("{s:f, s:f, s:f}", "x", p->point[i][0], "y", p->point[i][1],
+                                                "z", p->point[i][2]));
+    json_t *line = json_pack(
+        "{s:i, s:{s:{s:i, s:i, s:i}, s:{s:i, s:i, s:i, s:i}}, s:i, s:b, s:o, s:{s:f, s:f, s:f, s:f}, "
+        "s:[], s:[]}",
+        "type", 0, "pose", "position", "x", 0, "y", 0, "z", 0, "orientation", "x", 0, "y", 0, "z", 0, "w", 1,
+        "thickness", 3, "scale_invariant", 1, "points", points, "color", "r", 0.84, "g", 0.37, "b", 0.0, "a",
+        1.0, "colors", "indices");
+    const int64_t ns = (int64_t)(p->time_s * 1e9);
+    return json_pack(
+        "{s:[], s:[{s:{s:I, s:I}, s:s, s:s, s:{s:i, s:i}, s:b, s:o, s:[], s:[], s:[], s:[], s:[o], s:[], "
+        "s:[], s:[]}]}",
+        "deletions", "entities", "timestamp", "sec", (json_int_t)(ns / 1000000000), "nsec",
+        (json_int_t)(ns % 1000000000), "frame_id", "site", "id", "plan", "lifetime", "sec", 0, "nsec", 0,
+        "frame_locked", 1, "metadata", plan_facts(p, robot), "arrows", "cubes", "spheres", "cylinders",
+        "lines", line, "triangles", "texts", "models");
 }

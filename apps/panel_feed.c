@@ -5,6 +5,7 @@
 
 #include "apps/panel_about.h"
 #include "core/document.h"
+#include "core/foxglove.h"
 
 enum { EVENTS_KEPT = 512 };
 static const double FLUSH_S = 5;
@@ -97,6 +98,9 @@ static td_status take_news(panel_feed *f, const panel_news *n, td_error *error)
         return task_message_ground(&to, &n->ground, error);
     case PANEL_CHANGE:
         return task_message_input(&to, robot, n->period, n->time_s, "parameter", "a parameter", -1, 0, error);
+    case PANEL_PLAN:
+        publish_json(f, PANEL_PATH, panel_plan_json(&n->plan, robot));
+        return TD_OK;
     default:
         panel_desk_answer(f->desk, n);
         return TD_OK;
@@ -136,11 +140,12 @@ void panel_feed_take(panel_feed *f)
 
 static td_status add_channels(panel_feed *f, td_error *error)
 {
-    static const td_mcap_channel own[] = {
+    const td_mcap_channel own[] = {
         {"/session", "json", "teledimos.Session", "jsonschema", session_schema, sizeof session_schema - 1},
         {"/diagnostics", "json", "teledimos.Diagnostics", "jsonschema", diagnostics_schema,
          sizeof diagnostics_schema - 1},
-        {"/panel", "json", "teledimos.Panel", "jsonschema", about_schema, sizeof about_schema - 1}};
+        {"/panel", "json", "teledimos.Panel", "jsonschema", about_schema, sizeof about_schema - 1},
+        td_foxglove_channel(TD_FOXGLOVE_SCENE, "/plan")};
     for (int i = 0; i < PANEL_CHANNELS; i++) {
         const bool events = i == TASK_LOG || i == TASK_INPUTS;
         f->index[i] = -1;

@@ -7,7 +7,7 @@
 #include "apps/simulate_task_message.h"
 
 /* Our own channels, after the recording's. */
-enum { PANEL_SESSION = TASK_CHANNELS, PANEL_DIAGNOSTICS, PANEL_ABOUT, PANEL_CHANNELS };
+enum { PANEL_SESSION = TASK_CHANNELS, PANEL_DIAGNOSTICS, PANEL_ABOUT, PANEL_PATH, PANEL_CHANNELS };
 
 typedef struct panel_feed {
     panel_link *link;

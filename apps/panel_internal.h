@@ -60,9 +60,10 @@ typedef struct panel_sample {
 
 typedef struct panel_news {
     panel_numbered head;
-    enum { PANEL_NOTE, PANEL_GROUND, PANEL_ANSWER, PANEL_CHANGE } kind;
+    enum { PANEL_NOTE, PANEL_GROUND, PANEL_ANSWER, PANEL_CHANGE, PANEL_PLAN } kind;
     task_note note;
     task_ground ground;
+    live_plan plan;
     /* ANSWER, to `order`: */
     uint64_t order;
     bool accepted;

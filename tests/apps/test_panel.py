@@ -257,8 +257,9 @@ def test_ground(folder):
         client.subscribe("/terrain", "/session", "/tf")
         check(client.until(lambda: client.phase() == "ready" and "/terrain" in client.latest), "the ground is seen")
         grid = client.newest("/terrain")
-        cells = numpy.frombuffer(base64.b64decode(grid["data"]), "<f4").reshape(-1, grid["column_count"], 2)
-        check(cells.shape[:2] == (side, side) and numpy.array_equal(cells[:, :, 0], height[::-1]),
+        cells = numpy.frombuffer(base64.b64decode(grid["data"]), [("height", "<f4"), ("sigma", "<f4"), ("provenance", "u1")])
+        cells = cells.reshape(-1, grid["column_count"])
+        check(cells.shape[:2] == (side, side) and numpy.array_equal(cells["height"], height[::-1]),
               f"in pieces, as it was given: {cells.shape}, {len(client.latest['/terrain'][1])} bytes")
         client.order("TakeControl")
         before = client.newest("/tf")["transforms"][0]["translation"]["x"]

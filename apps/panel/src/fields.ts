@@ -152,7 +152,11 @@ export class Fields {
   private made: ParameterAbout[] | null = null;
   private readonly why = h('p', { class: 'note' });
 
-  constructor(private readonly link: Link) {}
+  /** `which`: of the names, those that are shown. */
+  constructor(
+    private readonly link: Link,
+    private readonly which: (name: string) => boolean = () => true,
+  ) {}
 
   update(): void {
     const list = this.link.panel?.parameters ?? null;
@@ -171,7 +175,7 @@ export class Fields {
     this.made = list;
     this.fields = [];
     const groups = new Map<string, HTMLElement>();
-    for (const p of list.filter((q) => q.settable)) {
+    for (const p of list.filter((q) => q.settable && this.which(q.name))) {
       const { group, label, unit } = labelOf(p.name);
       let set = groups.get(group);
       if (!set) groups.set(group, (set = h('fieldset', {}, h('legend', {}, group))));

@@ -27,6 +27,9 @@ function figure(value: number, sigma: number | null, digits: number): string {
   return `${number(value, digits)} ± ${sigma === null ? '–' : number(sigma, digits)}`;
 }
 
+/** So many digits that σ has two. */
+const digitsOf = (sigma: number | null | undefined): number => (sigma ? Math.max(0, Math.min(8, 1 - Math.floor(Math.log10(sigma)))) : 4);
+
 export function resultTable(r: Result): HTMLElement {
   const names = Object.keys(r.cameras);
   const order = r.cameras[names[0]].order;
@@ -39,7 +42,7 @@ export function resultTable(r: Result): HTMLElement {
         const c = r.cameras[n];
         const value = k < 4 ? c.intrinsics[k] : c.distortion[k - 4];
         const sigma = k < 4 ? c.sigma_intrinsics[k] : c.sigma_distortion[k - 4];
-        return h('td', { class: 'n' }, value === undefined ? '–' : figure(value, sigma ?? null, k < 4 ? 2 : 4));
+        return h('td', { class: 'n' }, value === undefined ? '–' : figure(value, sigma ?? null, k < 4 ? 2 : digitsOf(sigma)));
       }),
     ),
   );

@@ -268,13 +268,22 @@ class Curves {
 
 function stateCard(link: Link): HTMLElement {
   const word = h('p', { class: 'state-word' }, 'waiting');
-  const why = h('p', { class: 'bad fault', hidden: true });
+  const why = h('div', { class: 'why', hidden: true }, h('p', { class: 'bad fault' }), h('p', { class: 'note' }));
   const bar = h('div', { class: 'bar', role: 'progressbar', 'aria-label': 'of the motion', 'aria-valuemin': 0, 'aria-valuemax': 100 }, h('div', {}));
   const diagram = new BehaviourView();
   let fault = '';
+  let detail = '';
   link.on<Log>('/log', (log) => {
     if (log.message.startsWith('fault: ')) fault = log.message.replace(/^(fault: )+/, '');
+    if (log.message.startsWith('report: ')) detail = log.message.slice(8);
+    tell();
   });
+  /** Why it failed, and what the part that found it says. */
+  function tell(): void {
+    why.hidden = !link.session?.phase.startsWith('failed') || !fault;
+    write(why.firstElementChild!, fault);
+    write(why.lastElementChild!, detail === '' || fault.startsWith('a deadline') ? '' : detail);
+  }
   link.on<Session>('/session', (session) => {
     const share = Math.max(0, Math.min(1, session.share));
     bar.hidden = session.step <= 0;
@@ -287,8 +296,7 @@ function stateCard(link: Link): HTMLElement {
     const failed = session.phase.startsWith('failed');
     write(word, session.phase[0].toUpperCase() + session.phase.slice(1));
     word.classList.toggle('bad', failed);
-    why.hidden = !failed || !fault;
-    write(why, fault);
+    tell();
     if (panel) diagram.show(panel.behaviour, session.phase, session.offers);
   });
   const root = card('State', word, why, bar, diagram.root);
