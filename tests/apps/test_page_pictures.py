@@ -1,12 +1,12 @@
-"""The page's views Acquire, Calibrate and Match, used in Chromium as an operator does (page_pictures.mjs).
+"""The page's views Acquire, Calibrate and Match, used in Chromium as an operator does (tests/page/pictures.mjs).
 
 Pictures of a folder are frozen and stored: the stored file is the source's picture. A point of aloe, clicked on by keys alone,
 lies at the depth of the set's measured disparity within one step of it; others, by the mouse, make a triangle; one is undone;
 they are exported. Nine clicks on each of ViSP's grids calibrate to the figures of the command. What must not be is told: a tenth
 click, a click at the edge. No violation that axe-core knows, light and dark; on a phone nothing sticks out; the browser
-complains of nothing. The screenshots are left in the tests' folder, to be looked at.
+complains of nothing. The screenshots are left in the build tree (tests/page/pictures), to be looked at.
 
-Skipped without Chromium, npm or the network that npm needs. Blind to: hands (touch, pinch), other browsers, beauty."""
+Skipped where Chromium and playwright-core are not installed. Blind to: hands (touch, pinch), other browsers, beauty."""
 
 import json
 import os
@@ -17,24 +17,26 @@ import tempfile
 import cv2
 import numpy
 
-from common import IMAGES, SOURCE, check, finish, read_points, run, skip
+from common import FULL, IMAGES, PROGRAM, SOURCE, check, finish, read_points, run, skip
 from test_panel import Panel
 
-MODULES = os.path.join(os.environ.get("TELEDIMOS_TESTS", tempfile.gettempdir()), "page_node")
-SHOTS = os.path.join(os.environ.get("TELEDIMOS_TESTS", tempfile.gettempdir()), "page_pictures")
-PACKAGES = ("playwright-core@1.55.0", "axe-core@4.10.3")
-HERE = os.path.dirname(os.path.abspath(__file__))
+WORK = os.path.join(os.path.dirname(os.path.dirname(PROGRAM)), "tests/page")  # with test_page.py
+SHOTS = os.path.join(WORK, "pictures")
+CHROMIUM = "/usr/bin/chromium"
 
 
 def have_browser():
-    if not (shutil.which("chromium") and shutil.which("npm") and shutil.which("node")):
-        return "Chromium or npm is not installed"
-    if os.path.isdir(os.path.join(MODULES, "node_modules/playwright-core")) and os.path.isdir(os.path.join(MODULES, "node_modules/axe-core")):
-        return ""
-    os.makedirs(MODULES, exist_ok=True)
-    done = subprocess.run(["npm", "install", "--ignore-scripts", "--no-save", "--no-audit", "--no-fund", "--prefix", MODULES, *PACKAGES],
-                          capture_output=True, text=True, timeout=300)
-    return "" if done.returncode == 0 else "npm cannot install what drives the browser"
+    """"", or why the page cannot be used. With TELEDIMOS_FULL=1 what drives the browser is installed, in the build tree."""
+    if not shutil.which("node") or not os.path.exists(CHROMIUM):
+        return "node or chromium is not installed (sh tests/run.sh --full installs them)"
+    os.makedirs(SHOTS, exist_ok=True)
+    for name in ("package.json", "package-lock.json", ".npmrc", "pictures.mjs"):
+        shutil.copy(os.path.join(SOURCE, "tests/page", name), WORK)
+    if not os.path.isdir(os.path.join(WORK, "node_modules/playwright-core")) and FULL and shutil.which("npm"):
+        subprocess.run(["npm", "ci", "--ignore-scripts"], cwd=WORK, capture_output=True)
+    if not os.path.isdir(os.path.join(WORK, "node_modules/playwright-core")):
+        return "playwright-core is not installed (sh tests/run.sh --full installs it)"
+    return ""
 
 
 def main():
@@ -44,7 +46,6 @@ def main():
     if why:
         skip(why)
         finish()
-    os.makedirs(SHOTS, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         code, text, errors = run("calibrate", os.path.join(SOURCE, "datasets/visp-marks"), "-o", os.path.join(folder, "command"), "--json")
         check(code == 0, f"calibrate: {errors.strip()}")
@@ -64,7 +65,7 @@ def main():
         for side in ("left", "right"):
             options += [f"--{side}", os.path.join(IMAGES, side + "??.jpg")]
         with Panel(folder, *options, "--target", "chessboard 9x6 25mm") as panel:
-            done = subprocess.run(["node", os.path.join(HERE, "page_pictures.mjs"), MODULES, f"http://127.0.0.1:{panel.port}/", SHOTS, path],
+            done = subprocess.run(["node", os.path.join(WORK, "pictures.mjs"), f"http://127.0.0.1:{panel.port}/", SHOTS, path],
                                   capture_output=True, text=True, timeout=200)
             lines = done.stdout.splitlines()
             for line in lines:

@@ -1,16 +1,16 @@
-// What an operator does in the page's views Acquire, Calibrate and Match, by Chromium. Begun by test_page_pictures.py:
+// What an operator does in the page's views Acquire, Calibrate and Match, by Chromium. Begun by tests/apps/test_page_pictures.py:
 //
-//   node page_pictures.mjs MODULES URL OUT PLAN      PLAN: JSON {marks: {frame: [[x, y], …]}, fx: "549.10 ± 2.66", depth, …}
+//   node pictures.mjs URL OUT PLAN      PLAN: JSON {marks: {frame: [[x, y], …]}, fx: "549.10 ± 2.66", depth, …}
 //
 // A line "ok …" or "FAILED …" for each thing that is looked at; screenshots in OUT.
 
 import { readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
 import { join } from 'node:path';
+import { chromium } from 'playwright-core';
 
-const [, , modules, url, out, planPath] = process.argv;
-const require = createRequire(join(modules, 'x.js'));
-const { chromium } = require('playwright-core');
+const [, , url, out, planPath] = process.argv;
+const require = createRequire(import.meta.url);
 const axe = readFileSync(require.resolve('axe-core/axe.min.js'), 'utf8');
 const plan = JSON.parse(readFileSync(planPath, 'utf8'));
 
