@@ -16,16 +16,15 @@
 #include "core/linalg.h"
 
 static const char *positional[1 + WORKBENCH_PLACES];
-static cli_common common;
-static const char *target_words;
+static const char *output, *target_words;
 static double rate_hz = 10;
 
 static cli_option options[] = {
     {CLI_REAL, "rate", 0, &rate_hz, "HZ", "acquire: pictures a second; default 10", 0.1, 100, NULL},
     {CLI_STRING, "target", 0, &target_words, "TARGET",
      "acquire: what is seen, for dataset.yaml of what is stored (see teledimos capture)", 0, 0, NULL},
-    CLI_COMMON_OPTIONS(common, "folder for what is stored: acquired, calibrated, points",
-                       "this job draws none"),
+    {CLI_STRING, "output", 'o', &output, "DIR", "folder for what is stored: acquired, calibrated, points", 0,
+     0, NULL},
 };
 
 static cli_command command = {
@@ -178,13 +177,13 @@ static td_status pictures(td_error *error)
     if (length <= 0) return td_fail(error, TD_ERROR_EXTERNAL, "the place of the program cannot be found");
     self[length] = 0;
     *strrchr(self, '/') = 0;
-    TD_TRY(workbench_folder(&acquired, common.output, "acquired", error));
+    TD_TRY(workbench_folder(&acquired, output, "acquired", error));
     workbench *w = calloc(1, sizeof *w);
     if (!w) {
         free(acquired);
         return td_fail(error, TD_ERROR_MEMORY, "out of memory");
     }
-    w->output = common.output;
+    w->output = output;
     w->self = self;
     name_place(w, acquired);
     for (size_t i = 1; i < command.positional_count && w->places < WORKBENCH_PLACES; i++)
@@ -200,7 +199,7 @@ static td_status run(td_error *error)
 {
     const char *what = positional[0] ? positional[0] : "";
     const int sources = (int)command.positional_count - 1;
-    if (!common.output || !*common.output)
+    if (!output || !*output)
         return td_fail(error, TD_ERROR_ARGUMENT, "-o DIR is missing (usage: teledimos %s %s)", command.name,
                        command.usage);
     if (strcmp(what, "pictures") == 0) return pictures(error);
@@ -209,7 +208,7 @@ static td_status run(td_error *error)
                        command.usage);
     const workbench_source source = {.where = positional + 1,
                                      .count = sources,
-                                     .output = common.output,
+                                     .output = output,
                                      .target = target_words,
                                      .rate_hz = rate_hz};
     return workbench_acquire(&source, error);

@@ -222,6 +222,41 @@ def pick(panel, client, truth, x, y):
     return state
 
 
+def test_rig(folder):
+    """A pair by the rig that was calibrated here: sigma then holds the calibration's part."""
+    if not os.path.isdir(IMAGES):
+        return skip("opencv-doc is not installed")
+    with Panel(folder, "--bench", os.path.join(SOURCE, "datasets/opencv-stereo")) as panel:
+        client = panel.client().keep_alive()
+        ask(client, "TakeControl")
+        ask(client, "OpenBench", bench="opencv-stereo")
+        refuse(panel, client, "has no rig", "MatchOpen", frame="01")
+        refuse(panel, client, "only marks", "FindMarks", frame="01", camera="left", clicks=[{"mark": 0, "x": 1, "y": 1}])
+        left, right = (ask(client, "FindMarks", frame="01", camera=camera)["points"] for camera in ("left", "right"))
+        result = ask(client, "Calibrate")
+        check(result["verdict"] == "accepted" and abs(result["stereo"]["baseline_m"] - 0.0831) < 0.0005, f"calibrated: {result['reasons']}")
+        pair = ask(client, "MatchOpen", frame="01", near_m=0.2)
+        check(pair["rig"] == "calibrated" and pair["calibration_known"] and pair["in"] == "rig", f"the pair: {pair}")
+        for k in (0, 8, 45):  # the board's corners look alike: by hand, to a pixel
+            ask(client, "MatchPoint", x=left[k][0], y=left[k][1])
+            state = ask(client, "MatchChoose", x=round(right[k][0]), y=round(right[k][1]))
+        point = state["points"][-1]
+        covariance = numpy.reshape(point["covariance"], (3, 3))
+        check(point["sigma_m"] > point["sigma_matching_m"] > 0 and point["sigma_calibration_m"] > 0 and
+              numpy.all(numpy.linalg.eigvalsh(covariance) > 0) and
+              abs(numpy.sqrt(numpy.linalg.eigvalsh(covariance)[-1]) - point["sigma_m"]) < 1e-9, f"its sigma: {point['sigma_m']}")
+        p = [numpy.array(q["p"]) for q in state["points"]]
+        wide, high = numpy.linalg.norm(p[1] - p[0]), numpy.linalg.norm(p[2] - p[0])
+        check(abs(wide - 8 * 0.025) < 0.002 and abs(high - 5 * 0.025) < 0.002, f"the board's sides: {wide:.4f} x {high:.4f} m")
+        # Another dataset for calibrating leaves the pair as it is.
+        ask(client, "OpenBench", bench="opencv-stereo", **{"for": "calibrate"})
+        check(len(ask(client, "MatchUndo")["points"]) == 2, "the pair's points stay")
+        ask(client, "OpenBench", bench="opencv-stereo", **{"for": "match"})
+        refuse(panel, client, "MatchOpen first", "MatchUndo")
+        refuse(panel, client, "calibrate or match", "OpenBench", bench="opencv-stereo", **{"for": "fun"})
+    return None
+
+
 # ---- acquire ----
 
 def write_video(path):
@@ -282,7 +317,8 @@ def test_video(folder):
         begun, before = time.monotonic(), client.newest("/acquire")["seen"]
         client.until(lambda: client.newest("/acquire")["seen"] >= before + 20)
         rate = (client.newest("/acquire")["seen"] - before) / (time.monotonic() - begun)
-        check(7 < rate < 12 or SANITIZED, f"about ten pictures a second: {rate:.1f}")
+        busy = SANITIZED or os.getloadavg()[0] > os.cpu_count()  # benches give way to whatever else runs
+        check(rate < 12 and (rate > 7 or busy), f"about ten pictures a second: {rate:.1f}")
         ask(client, "Freeze")
         client.watch(0.3)
         seen = client.newest("/acquire")["seen"]
@@ -374,7 +410,7 @@ def in_its_folder(test):
 
 
 with concurrent.futures.ThreadPoolExecutor(3) as pool:
-    for done in [pool.submit(in_its_folder, test) for test in (test_acquire, test_video, test_calibrate, test_match, test_processes,
+    for done in [pool.submit(in_its_folder, test) for test in (test_acquire, test_video, test_calibrate, test_rig, test_match, test_processes,
                                                            test_alone)]:
         done.result()
 finish()
