@@ -38,7 +38,7 @@ CLICKED = (0, 5, 30, 35, 14, 15, 20, 21, 2)
 def ask(client, service, **arguments):
     """The answer; a failure ends the tests' part."""
     fine, answer = client.order(service, **arguments)
-    check(fine, f"{service} {arguments}: {answer if not fine else ''}")
+    check(fine, f"{service} {arguments}: {answer if not fine else ''} {client.closed or ''}")
     return answer if fine else {}
 
 
@@ -77,7 +77,7 @@ def test_calibrate(folder):
     check(code == 0, f"calibrate: {errors.strip()}")
     points = read_points(os.path.join(folder, "found/points.csv"))
     with Panel(folder, "--bench", MARKS) as panel:
-        client = panel.client()
+        client = panel.client().keep_alive()
         check("/acquire" not in client.channels and "Store" not in client.services, "no source, nothing to acquire")
         client.subscribe("/session")
         bench = ask(client, "Benches")["benches"]
@@ -173,7 +173,7 @@ def test_match(folder):
         return skip("opencv-doc is not installed")
     truth = cv2.imread(os.path.join(IMAGES, "aloeGT.png"), cv2.IMREAD_GRAYSCALE)
     with Panel(folder, "--bench", ALOE) as panel:
-        client = panel.client()
+        client = panel.client().keep_alive()
         refuse(panel, client, "OpenBench first", "MatchOpen", frame="aloe")
         ask(client, "OpenBench", bench="aloe")
         refuse(panel, client, "MatchOpen first", "MatchPoint", x=10, y=10)
