@@ -53,6 +53,7 @@ static const panel_bench_service services[] = {
      false,
      false,
      20},
+    {{"MatchCheck", NOTHING, ANYTHING}, NULL, false, false, 60},
     {{"InterestPoints", NOTHING, ANYTHING}, NULL, false, false, 30},
     {{"MatchPoint", OBJECT(NUMBER("x") "," NUMBER("y")), ANYTHING}, " x y ", false, false, 30},
     {{"MatchChoose", OBJECT("\"candidate\":{\"type\":\"integer\"}," NUMBER("x") "," NUMBER("y")), ANYTHING},

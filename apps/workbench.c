@@ -43,7 +43,8 @@ static cli_command command = {
         "DIR/acquired: Benches {}; OpenBench {bench, for}, for calibrate, match or (left out) both; Picture "
         "{frame, camera, for}; FindMarks {frame, camera, "
         "clicks: [{mark, x, y}]}, up to nine clicks; Coverage {}; Calibrate {}, which runs teledimos "
-        "calibrate into DIR/calibrated; MatchOpen {frame, rig}; InterestPoints {}; MatchPoint {x, y}; "
+        "calibrate into DIR/calibrated; MatchOpen {frame, rig}; MatchCheck {}, whether the pictures belong "
+        "to the rig; InterestPoints {}; MatchPoint {x, y}; "
         "MatchChoose {candidate} or {x, y}; MatchUndo {}; MatchExport {}, into DIR/points.",
     .examples =
         "  echo '{\"id\": 1, \"op\": \"Benches\"}' | teledimos workbench pictures datasets/visp-marks "
@@ -100,12 +101,13 @@ static const struct {
     const char *name;
     workbench_work *work;
 } works[] = {
-    {"Benches", workbench_benches},   {"OpenBench", workbench_open},
-    {"Picture", workbench_picture},   {"FindMarks", workbench_marks},
-    {"Coverage", workbench_coverage}, {"Calibrate", workbench_calibrate},
-    {"MatchOpen", workbench_pair},    {"InterestPoints", workbench_interest},
-    {"MatchPoint", workbench_click},  {"MatchChoose", workbench_choose},
-    {"MatchUndo", workbench_undo},    {"MatchExport", workbench_export},
+    {"Benches", workbench_benches},         {"OpenBench", workbench_open},
+    {"Picture", workbench_picture},         {"FindMarks", workbench_marks},
+    {"Coverage", workbench_coverage},       {"Calibrate", workbench_calibrate},
+    {"MatchOpen", workbench_pair},          {"MatchCheck", workbench_check},
+    {"InterestPoints", workbench_interest}, {"MatchPoint", workbench_click},
+    {"MatchChoose", workbench_choose},      {"MatchUndo", workbench_undo},
+    {"MatchExport", workbench_export},
 };
 
 static td_status do_request(json_t **answer, workbench *w, const json_t *request, td_error *error)

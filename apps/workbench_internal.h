@@ -83,7 +83,7 @@ typedef struct workbench {
 typedef td_status workbench_work(json_t **answer, workbench *w, const td_field *a, td_error *error);
 workbench_work workbench_benches, workbench_open, workbench_picture;     /* _open.c */
 workbench_work workbench_marks, workbench_coverage, workbench_calibrate; /* _calibrate.c */
-workbench_work workbench_pair, workbench_interest, workbench_click, workbench_choose, workbench_undo,
+workbench_work workbench_pair, workbench_check, workbench_interest, workbench_click, workbench_choose, workbench_undo,
     workbench_export; /* _match.c */
 
 void workbench_close(workbench *w);

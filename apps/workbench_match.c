@@ -10,7 +10,10 @@
 #include "core/rig_formats.h"
 #include "recon/interest.h"
 
-enum { CURVE_POINTS = 96, INTEREST_POINTS = 400 };
+enum { CURVE_POINTS = 96, INTEREST_POINTS = 400, CHECK_POINTS = 600, LEAST_MATCHES = 30 };
+
+/* The command's gate: above this the cameras have moved since they were calibrated (match_result.c). */
+static const double MOST_EPIPOLAR_PX = 0.3, WIDE_BAND_PX = 12;
 
 static const workbench_open_place *open_of(const workbench *w)
 {
@@ -177,6 +180,46 @@ td_status workbench_interest(json_t **answer, workbench *w, const td_field *a, t
         json_array_append_new(list, json_pack("[f, f]", point[i].x, point[i].y));
     free(point);
     *answer = json_pack("{s:o}", "points", list);
+    return TD_OK;
+}
+
+/* Cameras that turned far leave the usual band empty: then a wide one is searched. */
+static td_status match_by_itself(td_match **match, size_t *count, const match_job *m, td_error *error)
+{
+    td_match_options o = m->options;
+    td_match_tally tally;
+    o.least_zncc = td_match_options_default().least_zncc;
+    o.interest.count = CHECK_POINTS;
+    TD_TRY(td_match_automatic(match, count, &tally, &m->pair, m->image[0], m->image[1], &o, error));
+    if (*count >= LEAST_MATCHES && 10 * *count >= tally.left_points) return TD_OK;
+    free(*match);
+    *match = NULL;
+    o.band_px = WIDE_BAND_PX;
+    return td_match_automatic(match, count, &tally, &m->pair, m->image[0], m->image[1], &o, error);
+}
+
+/* Do the pictures belong to the rig? */
+td_status workbench_check(json_t **answer, workbench *w, const td_field *a, td_error *error)
+{
+    (void)a;
+    td_match *match = NULL;
+    size_t count = 0;
+    td_epipolar_gate gate;
+    TD_TRY(need_pair(w, error));
+    td_status status = match_by_itself(&match, &count, &w->match, error);
+    if (status == TD_OK && count < LEAST_MATCHES)
+        status =
+            td_fail(error, TD_ERROR_DATA,
+                    "only %zu points match by themselves: too few to tell whether the pictures belong to "
+                    "the rig",
+                    count);
+    if (status == TD_OK) status = td_epipolar_gate_check(&gate, &w->match.pair, match, count, error);
+    free(match);
+    if (status != TD_OK) return status;
+    *answer = json_pack("{s:b, s:I, s:o, s:o, s:o, s:f}", "belongs", gate.rms_px <= MOST_EPIPOLAR_PX,
+                        "matches", (json_int_t)gate.matches, "rms_px", td_json_real(gate.rms_px),
+                        "corrected_px", td_json_real(gate.determined ? gate.corrected_px : NAN),
+                        "rotation_rad", td_json_reals(gate.rotation, 3), "limit_px", MOST_EPIPOLAR_PX);
     return TD_OK;
 }
 

@@ -17,6 +17,7 @@ import concurrent.futures
 import csv
 import json
 import os
+import shutil
 import signal
 import struct
 import subprocess
@@ -172,7 +173,13 @@ def test_match(folder):
     if not os.path.isfile(os.path.join(IMAGES, "aloeL.jpg")):
         return skip("opencv-doc is not installed")
     truth = cv2.imread(os.path.join(IMAGES, "aloeGT.png"), cv2.IMREAD_GRAYSCALE)
-    with Panel(folder, "--bench", ALOE) as panel:
+    moved = os.path.join(folder, "moved")
+    shutil.copytree(ALOE, moved)
+    with open(os.path.join(moved, "rig.yaml")) as file:
+        text = file.read()
+    with open(os.path.join(moved, "rig.yaml"), "w") as file:
+        file.write(text.replace("cx: 730.5, cy: 554.5", "cx: 730.5, cy: 557.5"))  # as if the right camera had turned
+    with Panel(folder, "--bench", ALOE, "--bench", moved) as panel:
         client = panel.client().keep_alive()
         refuse(panel, client, "OpenBench first", "MatchOpen", frame="aloe")
         ask(client, "OpenBench", bench="aloe")
@@ -182,6 +189,8 @@ def test_match(folder):
         pair = ask(client, "MatchOpen", frame="aloe", near_m=0.55, far_m=2.2)
         check(pair["left"]["width"] == 1282 and pair["in"] == "vehicle" and not pair["calibration_known"], f"pair: {pair}")
         check(len(ask(client, "InterestPoints")["points"]) > 300, "interest points")
+        fits = ask(client, "MatchCheck")
+        check(fits["belongs"] and fits["rms_px"] < 0.15 and fits["matches"] > 100, f"the pictures belong to the rig: {fits}")
         refuse(panel, client, "MatchPoint first", "MatchChoose", candidate=0)
         for x, y, words in ((-20, 5, "x"), ("NaN", 5, "x"), (1e6, 5, "x"), (1281.4, 5, "edge"), (3, 500, "edge")):
             refuse(panel, client, words, "MatchPoint", x=x, y=y)
@@ -206,9 +215,21 @@ def test_match(folder):
         check([float(r["z_m"]) for r in rows] == [round(p["p"][2], 5) for p in state["points"]], "the points that were chosen")
         for _ in range(3):
             ask(client, "MatchUndo")
+        test_moved(client)
         refuse(panel, client, "no point", "MatchUndo")
         refuse(panel, client, "no points yet", "MatchExport")
     return None
+
+
+def test_moved(client):
+    ask(client, "OpenBench", bench="moved")
+    ask(client, "MatchOpen", frame="aloe", near_m=0.55, far_m=2.2)
+    fits = ask(client, "MatchCheck")
+    turn = abs(fits["rotation_rad"][0])
+    check(not fits["belongs"] and fits["rms_px"] > 2 and fits["corrected_px"] < 0.3 and abs(turn - 3 / 1246.67) < 3e-4,
+          f"a camera that has turned is told: {fits}")
+    ask(client, "OpenBench", bench="aloe")
+    ask(client, "MatchOpen", frame="aloe")
 
 
 def pick(panel, client, truth, x, y):

@@ -94,6 +94,8 @@ async function match() {
   await m.locator('input[type=number]').nth(1).blur();
   await page.waitForTimeout(1000);
   await told('match', 'Baseline 160.0 mm');
+  await told('match', 'The pictures belong to the rig');
+  check(true, 'the pictures belong to the rig');
   // By keys alone, from the picture's middle.
   const left = m.locator('.pane').first();
   await left.focus();

@@ -2,7 +2,7 @@
 // chooses, and the point in space that it is, with how sure that is. The points make a surface.
 
 import '../pictures/pictures.css';
-import { card, h, newId, number, write } from '../dom';
+import { card, degrees, h, newId, number, write } from '../dom';
 import type { Link } from '../link';
 import { Bench, chooser, nothing, select } from '../pictures/bench';
 import { Pane, type Line, type Mark } from '../pictures/pane';
@@ -64,6 +64,7 @@ class View {
   private readonly near = h('input', { id: newId(), type: 'number', min: 0.001, max: 100000, step: 'any', value: 0.5, change: () => void this.open() });
   private readonly far = h('input', { id: newId(), type: 'number', min: 0.001, max: 1000000, step: 'any', placeholder: 'any', change: () => void this.open() });
   private readonly pairTold = h('p', { class: 'told', role: 'status' });
+  private readonly fits = h('p', { class: 'told', role: 'status' });
   private readonly helps = h('input', { id: newId(), type: 'checkbox', change: () => void this.help() });
   private readonly told = h('p', { class: 'told', role: 'status' });
   private readonly body = h('tbody', {});
@@ -99,7 +100,7 @@ class View {
       h(
         'div',
         { class: 'side' },
-        card('Pair', chooser(this.bench, (row) => (row.cameras?.length ?? 0) > 1, 'Dataset with two cameras'), this.frame.root, this.rig.root, h('div', { class: 'two' }, field('Nearest', this.near, 'm'), field('Farthest', this.far, 'm')), h('p', { class: 'note keys' }, this.helps, h('label', { for: this.helps.id }, 'Interest points: a click takes the one beside it')), this.pairTold),
+        card('Pair', chooser(this.bench, (row) => (row.cameras?.length ?? 0) > 1, 'Dataset with two cameras'), this.frame.root, this.rig.root, h('div', { class: 'two' }, field('Nearest', this.near, 'm'), field('Farthest', this.far, 'm')), h('p', { class: 'note keys' }, this.helps, h('label', { for: this.helps.id }, 'Interest points: a click takes the one beside it')), this.pairTold, this.fits),
         card('Points', this.plan.root, this.remark, h('div', { class: 'orders' }, this.undo, this.save), this.load, this.saveTold),
       ),
       h(
@@ -135,6 +136,7 @@ class View {
     this.interest = [];
     this.pairTold.className = 'told bad';
     write(this.pairTold, text);
+    write(this.fits, '');
     write(this.told, '');
     write(this.saveTold, '');
     this.showCandidates();
@@ -183,6 +185,7 @@ class View {
     } else write(this.pairTold, answer.text);
     await this.pictures(frame, number_);
     if (answer.ok && number_ === this.opening) await this.help();
+    if (answer.ok && number_ === this.opening) void this.checkFit(number_);
     this.update();
   }
 
@@ -195,6 +198,21 @@ class View {
       if (answer.ok) await pane.show(answer.value.format, answer.value.data);
       else pane.clear(answer.text);
     }
+  }
+
+  /** Do the pictures belong to the rig? */
+  private async checkFit(number_: number): Promise<void> {
+    const answer = await this.bench.ask<{ belongs: boolean; matches: number; rms_px: number; corrected_px: number | null; rotation_rad: number[]; limit_px: number }>('MatchCheck', {}, 60);
+    if (number_ !== this.opening) return;
+    const f = answer.value;
+    this.fits.className = `told ${answer.ok && f.belongs ? 'good' : 'bad'}`;
+    if (!answer.ok) write(this.fits, answer.text);
+    else if (f.belongs) write(this.fits, `The pictures belong to the rig: ${f.matches} matches lie ${number(f.rms_px, 3)} px from their epipolar curves.`);
+    else
+      write(
+        this.fits,
+        `The pictures do not belong to the rig: matches lie ${number(f.rms_px, 2)} px from their epipolar curves (at most ${number(f.limit_px, 1)}). ${f.corrected_px !== null ? `The right camera turned by ${f.rotation_rad.map((r) => number(degrees(r), 3)).join(', ')}° would leave ${number(f.corrected_px, 3)} px. ` : ''}Depths are not to be trusted: calibrate again.`,
+      );
   }
 
   private async help(): Promise<void> {
