@@ -133,6 +133,16 @@ const cell = async (page, table, row, column) =>
   Number((await page.locator(`[aria-label="${table}"] tbody tr`).nth(row).locator('td').nth(column).innerText()).replace('−', '-'));
 const toolAt = (page, axis, column = 1) => cell(page, 'The tool’s place, desired and actual', axis, column);
 const jointAt = (page, joint, column = 1) => cell(page, 'The joints, desired and actual', joint, column);
+/** A joint does not move any more. */
+async function stands(page, joint) {
+  for (let k = 0, last = NaN; k < 20 * SLOW; k++) {
+    const now = await jointAt(page, joint);
+    if (Math.abs(now - last) < 0.02) return true;
+    last = now;
+    await sleep(400);
+  }
+  return false;
+}
 const points = (page) => page.locator('.plot').evaluateAll((list) => list.map((e) => Number(e.dataset.points)));
 
 // ---- what is shown ----
@@ -192,10 +202,7 @@ async function session(page, server) {
   check(after.length === 4 && after.every((n, i) => n > before[i] + 5), `the curves grow: ${before} to ${after} samples`);
   await page.keyboard.press(' ');
   check(await phaseIs(page, 'the simulation is paused'), 'Pause, by its key');
-  await sleep(400);
-  const held = await jointAt(page, 0);
-  await sleep(400);
-  check(Math.abs((await jointAt(page, 0)) - held) < 0.1, `nothing moves: swing ${held}°`);
+  check(await stands(page, 0), 'nothing moves');
   check(await page.locator('g.phase.now').first().textContent().then((t) => /paused/i.test(t)), 'the diagram shows where it stands');
   await page.click('#order-Resume');
   await phaseIs(page, 'simulating');
@@ -238,20 +245,23 @@ async function byHand(page) {
   const boom = await jointAt(page, 1);
   const button = page.getByLabel('boom forwards, hold');
   await button.hover();
+  const passes = async (degrees, sign) => {
+    for (let k = 0; k < 25 * SLOW; k++) {
+      if (sign * ((await jointAt(page, 1)) - degrees) > 0) return true;
+      await sleep(200);
+    }
+    return false;
+  };
   await page.mouse.down();
-  await sleep(900);
+  check(await passes(boom + 1, 1), `the boom moves from ${boom}° while its button is held`);
   await page.mouse.up();
-  await sleep(500);
+  check(await stands(page, 1), 'and stands when it is let go');
   const there = await jointAt(page, 1);
-  check(there > boom + 0.5, `the boom moves while its button is held: ${boom}° to ${there}°`);
-  await sleep(500);
-  check(Math.abs((await jointAt(page, 1)) - there) < 0.4, 'and stands when it is let go');
   await page.locator('h2').first().click();
   await page.keyboard.down('ArrowDown');
-  await sleep(800);
+  check(await passes(there - 1, -1), 'back by its key');
   await page.keyboard.up('ArrowDown');
-  await sleep(400);
-  check((await jointAt(page, 1)) < there - 0.5, 'back by its key');
+  check(await stands(page, 1), 'and stands');
   await page.click('#order-Automatic');
   await phaseIs(page, 'ready');
 }

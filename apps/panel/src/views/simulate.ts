@@ -275,7 +275,7 @@ function stateCard(link: Link): HTMLElement {
   let detail = '';
   link.on<Log>('/log', (log) => {
     if (log.message.startsWith('fault: ')) fault = log.message.replace(/^(fault: )+/, '');
-    if (log.message.startsWith('report: ')) detail = log.message.slice(8);
+    if (log.message.startsWith('report: ') && !log.message.includes('deadline')) detail = log.message.slice(8);
     tell();
   });
   /** Why it failed, and what the part that found it says. */
