@@ -204,17 +204,24 @@ def ground(folder):
     gdal.UseExceptions()
     side, cell = 500, 0.05
     path = os.path.join(folder, "site.tif")
-    file = gdal.GetDriverByName("GTiff").Create(path, side, side, 1, gdal.GDT_Float32)
+    file = gdal.GetDriverByName("GTiff").Create(path, side, side, 5, gdal.GDT_Float64)
     file.SetGeoTransform([-7 - cell / 2, cell, 0, 12.5 + cell / 2, 0, -cell])
     x, y = -7 + cell * numpy.arange(side)[None, :], 12.5 - cell * numpy.arange(side)[:, None]
     height = 1.1 * numpy.exp(-((x - 9) ** 2 + (y - 7) ** 2) / 5) + 0.04 * numpy.sin(2.2 * x) * numpy.cos(1.7 * y) * (y > 3)
     height[(numpy.abs(x - 9.025) < 1) & (numpy.abs(y + 3.275) < 0.75)] -= 0.5
     height[(x - 15) ** 2 + (y - 2) ** 2 < 2] = numpy.nan
-    band = file.GetRasterBand(1)
-    band.SetNoDataValue(float("nan"))
-    band.WriteArray(height.astype("float32"))
+    far = numpy.hypot(x, y)
+    known = numpy.isfinite(height)
+    origin = numpy.where(far < 5, 1, numpy.where(numpy.abs(y) < 4, 3, 2)) + 0 * height
+    bands = {"height": height, "sigma": 0.004 + 0.0012 * far + 0 * height, "count": numpy.where(known, 3, 0),
+             "provenance": numpy.where(known, origin, 0), "time": 0 * height}
+    for i, (name, values) in enumerate(bands.items()):
+        band = file.GetRasterBand(i + 1)
+        band.SetDescription(name)
+        band.SetNoDataValue(float("nan"))
+        band.WriteArray(values)
     del file
-    return scenario(folder, "ground.yaml", SCENARIO.replace("name: a-test", f"name: a-site\nground: {{map: {path}, sigma_m: 0.02}}")
+    return scenario(folder, "ground.yaml", SCENARIO.replace("name: a-test", f"name: a-site\nground: {{map: {path}}}")
                     .replace("boom: -0.5, arm: 1.6", "boom: -0.7, arm: 1.3").replace("via: [{x_m: 6.7, y_m: 0.4, z_m: 0.9}], ", ""))
 
 

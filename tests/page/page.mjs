@@ -351,6 +351,7 @@ async function measuring(server) {
   await page.locator('label', { hasText: /^Line$/ }).click();
   await click([7, -1, 0]);
   await click([10, -1, 0]);
+  await until(page, () => /length/.test(document.querySelector('.site .result').textContent));
   const line = await text(page, '.site .result');
   const length = Number(/length ([\d.]+)/.exec(line)?.[1]);
   check(Math.abs(length - 3) < 0.03 && /±/.test(line), `a line of 3 m: ${line.replaceAll('\n', '; ')}`);
