@@ -5,6 +5,7 @@ import { chromium } from 'playwright-core';
 import { spawn } from 'node:child_process';
 import fs from 'node:fs';
 import net from 'node:net';
+import os from 'node:os';
 import path from 'node:path';
 
 const [work, chrome] = process.argv.slice(2);
@@ -372,6 +373,23 @@ async function measuring(server) {
   await page.context().close();
 }
 
+/** Processor seconds of the browser's processes so far. */
+function spent() {
+  const parents = new Map();
+  const used = new Map();
+  for (const pid of fs.readdirSync('/proc').filter((n) => /^\d+$/.test(n)))
+    try {
+      const row = fs.readFileSync(`/proc/${pid}/stat`, 'utf8').split(') ')[1].split(' ');
+      parents.set(Number(pid), Number(row[1]));
+      used.set(Number(pid), (Number(row[11]) + Number(row[12])) / 100);
+    } catch {
+      continue; // it is gone
+    }
+  const ours = (pid) => pid === process.pid || (parents.has(pid) && ours(parents.get(pid)));
+  const servers = new Set([...running].map((p) => p.pid));
+  return [...used].filter(([pid]) => pid !== process.pid && !servers.has(pid) && ours(pid)).reduce((sum, [, s]) => sum + s, 0);
+}
+
 async function pace(server) {
   const page = await open(`${server.url}#site`);
   await live(page);
@@ -396,16 +414,21 @@ async function pace(server) {
       on = false;
       return (site.frames - from) / ((performance.now() - begun) / 1000);
     };
+    window.spin = run;
     await run(2500); // it finds how fine it can be
-    const rate = await run(3000);
     const gl = site.renderer.getContext();
     const about = gl.getExtension('WEBGL_debug_renderer_info');
-    return { rate, triangles: site.renderer.info.render.triangles, level: site.level, by: about ? gl.getParameter(about.UNMASKED_RENDERER_WEBGL) : '' };
+    return { triangles: site.renderer.info.render.triangles, level: site.level, by: about ? gl.getParameter(about.UNMASKED_RENDERER_WEBGL) : '' };
   });
+  const before = [spent(), await page.evaluate(() => document.querySelector('.canvas').site.frames)];
+  found.rate = await page.evaluate(() => window.spin(3000));
+  const frames = (await page.evaluate(() => document.querySelector('.canvas').site.frames)) - before[1];
+  const each = (1000 * (spent() - before[0])) / frames;
   const facts = await text(page, '.site .path');
   check(/clearance/.test(facts) && /probability/.test(facts), `the motion ahead, with what the map says of it: ${facts.replaceAll('\n', ' ')}`);
-  tell(`a map of 500 × 500 with the machine and its paths: ${found.rate.toFixed(1)} frames a second (${found.triangles} triangles, fineness ${found.level}; ${found.by.slice(0, 60)})`);
-  check(found.rate > 4, `frames a second: ${found.rate.toFixed(1)}`);
+  tell(`a map of 500 × 500 with the machine and its paths: ${found.rate.toFixed(1)} frames a second, ${each.toFixed(0)} ms of a processor each (${found.triangles} triangles, fineness ${found.level}; ${found.by.slice(0, 60)})`);
+  // On a machine that does other things too: what its processors could do.
+  check(found.rate >= 30 || each <= (1000 / 30) * os.cpus().length, `30 frames a second: ${found.rate.toFixed(1)}, at ${each.toFixed(0)} ms each`);
   await phaseIs(page, 'simulated', 12000);
   await sleep(800);
   await picture(page, 'site-light', false);
