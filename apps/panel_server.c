@@ -385,7 +385,7 @@ static void each_half_second(lws_sorted_usec_list_t *timer)
 /* ---- the page ---- */
 
 /* How to connect by other programs; and in the page's place where that is not installed. */
-static td_status add_page_of_text(panel_server *s, const char *path, td_error *error)
+static td_status add_page_of_text(panel_server *s, const char *path, bool installed, td_error *error)
 {
     char page[1600];
     snprintf(
@@ -399,7 +399,7 @@ static td_status add_page_of_text(panel_server *s, const char *path, td_error *e
         "TakeControl, StartSim, Pause, Resume, UserStop, Prepare, Reinit.\n"
         "<p>A page of another origin is let in where <code>--origin</code> names it, as\n"
         "<code>--origin https://app.foxglove.dev</code>.\n",
-        s->files.count ? "" : " (The operator's page is not installed: share/teledimos/panel.)", s->url,
+        installed ? "" : " (The operator's page is not installed: share/teledimos/panel.)", s->url,
         s->door.locked ? "?token=… with the token's text" : "");
     return panel_files_add(&s->files, path, "text/html; charset=utf-8", page, strlen(page), error);
 }
@@ -408,8 +408,9 @@ static td_status begin_page(panel_server *s, td_error *error)
 {
     char folder[1100];
     if (panel_files_place(folder, sizeof folder)) TD_TRY(panel_files_read(&s->files, folder, error));
-    TD_TRY(add_page_of_text(s, "/connect", error));
-    return panel_files_find(&s->files, "/") ? TD_OK : add_page_of_text(s, "/", error);
+    const bool installed = panel_files_find(&s->files, "/") != NULL;
+    TD_TRY(add_page_of_text(s, "/connect", installed, error));
+    return installed ? TD_OK : add_page_of_text(s, "/", false, error);
 }
 
 /* A file on its way to a browser. */

@@ -5,6 +5,7 @@ import { chromium } from 'playwright-core';
 import { spawn } from 'node:child_process';
 import fs from 'node:fs';
 import net from 'node:net';
+import os from 'node:os';
 import path from 'node:path';
 
 const [work, chrome] = process.argv.slice(2);
@@ -133,6 +134,16 @@ const cell = async (page, table, row, column) =>
   Number((await page.locator(`[aria-label="${table}"] tbody tr`).nth(row).locator('td').nth(column).innerText()).replace('−', '-'));
 const toolAt = (page, axis, column = 1) => cell(page, 'The tool’s place, desired and actual', axis, column);
 const jointAt = (page, joint, column = 1) => cell(page, 'The joints, desired and actual', joint, column);
+/** A joint does not move any more. */
+async function stands(page, joint) {
+  for (let k = 0, last = NaN; k < 20 * SLOW; k++) {
+    const now = await jointAt(page, joint);
+    if (Math.abs(now - last) < 0.02) return true;
+    last = now;
+    await sleep(400);
+  }
+  return false;
+}
 const points = (page) => page.locator('.plot').evaluateAll((list) => list.map((e) => Number(e.dataset.points)));
 
 // ---- what is shown ----
@@ -192,10 +203,7 @@ async function session(page, server) {
   check(after.length === 4 && after.every((n, i) => n > before[i] + 5), `the curves grow: ${before} to ${after} samples`);
   await page.keyboard.press(' ');
   check(await phaseIs(page, 'the simulation is paused'), 'Pause, by its key');
-  await sleep(400);
-  const held = await jointAt(page, 0);
-  await sleep(400);
-  check(Math.abs((await jointAt(page, 0)) - held) < 0.1, `nothing moves: swing ${held}°`);
+  check(await stands(page, 0), 'nothing moves');
   check(await page.locator('g.phase.now').first().textContent().then((t) => /paused/i.test(t)), 'the diagram shows where it stands');
   await page.click('#order-Resume');
   await phaseIs(page, 'simulating');
@@ -238,20 +246,23 @@ async function byHand(page) {
   const boom = await jointAt(page, 1);
   const button = page.getByLabel('boom forwards, hold');
   await button.hover();
+  const passes = async (degrees, sign) => {
+    for (let k = 0; k < 25 * SLOW; k++) {
+      if (sign * ((await jointAt(page, 1)) - degrees) > 0) return true;
+      await sleep(200);
+    }
+    return false;
+  };
   await page.mouse.down();
-  await sleep(900);
+  check(await passes(boom + 1, 1), `the boom moves from ${boom}° while its button is held`);
   await page.mouse.up();
-  await sleep(500);
+  check(await stands(page, 1), 'and stands when it is let go');
   const there = await jointAt(page, 1);
-  check(there > boom + 0.5, `the boom moves while its button is held: ${boom}° to ${there}°`);
-  await sleep(500);
-  check(Math.abs((await jointAt(page, 1)) - there) < 0.4, 'and stands when it is let go');
   await page.locator('h2').first().click();
   await page.keyboard.down('ArrowDown');
-  await sleep(800);
+  check(await passes(there - 1, -1), 'back by its key');
   await page.keyboard.up('ArrowDown');
-  await sleep(400);
-  check((await jointAt(page, 1)) < there - 0.5, 'back by its key');
+  check(await stands(page, 1), 'and stands');
   await page.click('#order-Automatic');
   await phaseIs(page, 'ready');
 }
@@ -341,6 +352,7 @@ async function measuring(server) {
   await page.locator('label', { hasText: /^Line$/ }).click();
   await click([7, -1, 0]);
   await click([10, -1, 0]);
+  await until(page, () => /length/.test(document.querySelector('.site .result').textContent));
   const line = await text(page, '.site .result');
   const length = Number(/length ([\d.]+)/.exec(line)?.[1]);
   check(Math.abs(length - 3) < 0.03 && /±/.test(line), `a line of 3 m: ${line.replaceAll('\n', '; ')}`);
@@ -359,6 +371,23 @@ async function measuring(server) {
     if (name === 'Provenance') await picture(page, 'provenance-light', false);
   }
   await page.context().close();
+}
+
+/** Processor seconds of the browser's processes so far. */
+function spent() {
+  const parents = new Map();
+  const used = new Map();
+  for (const pid of fs.readdirSync('/proc').filter((n) => /^\d+$/.test(n)))
+    try {
+      const row = fs.readFileSync(`/proc/${pid}/stat`, 'utf8').split(') ')[1].split(' ');
+      parents.set(Number(pid), Number(row[1]));
+      used.set(Number(pid), (Number(row[11]) + Number(row[12])) / 100);
+    } catch {
+      continue; // it is gone
+    }
+  const ours = (pid) => pid === process.pid || (parents.has(pid) && ours(parents.get(pid)));
+  const servers = new Set([...running].map((p) => p.pid));
+  return [...used].filter(([pid]) => pid !== process.pid && !servers.has(pid) && ours(pid)).reduce((sum, [, s]) => sum + s, 0);
 }
 
 async function pace(server) {
@@ -385,16 +414,21 @@ async function pace(server) {
       on = false;
       return (site.frames - from) / ((performance.now() - begun) / 1000);
     };
+    window.spin = run;
     await run(2500); // it finds how fine it can be
-    const rate = await run(3000);
     const gl = site.renderer.getContext();
     const about = gl.getExtension('WEBGL_debug_renderer_info');
-    return { rate, triangles: site.renderer.info.render.triangles, level: site.level, by: about ? gl.getParameter(about.UNMASKED_RENDERER_WEBGL) : '' };
+    return { triangles: site.renderer.info.render.triangles, level: site.level, by: about ? gl.getParameter(about.UNMASKED_RENDERER_WEBGL) : '' };
   });
+  const before = [spent(), await page.evaluate(() => document.querySelector('.canvas').site.frames)];
+  found.rate = await page.evaluate(() => window.spin(3000));
+  const frames = (await page.evaluate(() => document.querySelector('.canvas').site.frames)) - before[1];
+  const each = (1000 * (spent() - before[0])) / frames;
   const facts = await text(page, '.site .path');
   check(/clearance/.test(facts) && /probability/.test(facts), `the motion ahead, with what the map says of it: ${facts.replaceAll('\n', ' ')}`);
-  tell(`a map of 500 × 500 with the machine and its paths: ${found.rate.toFixed(1)} frames a second (${found.triangles} triangles, fineness ${found.level}; ${found.by.slice(0, 60)})`);
-  check(found.rate > 4, `frames a second: ${found.rate.toFixed(1)}`);
+  tell(`a map of 500 × 500 with the machine and its paths: ${found.rate.toFixed(1)} frames a second, ${each.toFixed(0)} ms of a processor each (${found.triangles} triangles, fineness ${found.level}; ${found.by.slice(0, 60)})`);
+  // On a machine that does other things too: what its processors could do.
+  check(found.rate >= 30 || each <= (1000 / 30) * os.cpus().length, `30 frames a second: ${found.rate.toFixed(1)}, at ${each.toFixed(0)} ms each`);
   await phaseIs(page, 'simulated', 12000);
   await sleep(800);
   await picture(page, 'site-light', false);

@@ -34,8 +34,8 @@ export function labelOf(name: string): { group: string; label: string; unit: str
   const step = /^step_(\d+)$/.exec(parts[1] ?? '');
   if (step) {
     const via = /^via_(\d+)$/.exec(parts[2]);
-    const where = parts[2] === 'to' ? 'Desired ' : via ? `Via ${via[1]}, ` : '';
-    return { group: `Step ${step[1]}`, label: where + (LAST[last] ?? last), unit };
+    const where = parts[2] === 'to' ? ' · desired place' : via ? ` · via point ${via[1]}` : '';
+    return { group: `Step ${step[1]}${where}`, label: LAST[last] ?? last, unit };
   }
   return { group: parts[0] ?? '', label: last ?? name, unit };
 }
@@ -178,7 +178,7 @@ export class Fields {
     for (const p of list.filter((q) => q.settable && this.which(q.name))) {
       const { group, label, unit } = labelOf(p.name);
       let set = groups.get(group);
-      if (!set) groups.set(group, (set = h('fieldset', {}, h('legend', {}, group))));
+      if (!set) groups.set(group, (set = h('fieldset', { class: group.includes('·') ? 'place' : '' }, h('legend', {}, group))));
       const field = p.choices ? new ChoiceField(this.link, p, label) : new NumberField(this.link, p, label, unit);
       this.fields.push(field);
       set.append(field.root);

@@ -1,4 +1,4 @@
-// Recordings (https://mcap.dev/spec) from a file on disk, by their indices: a seek reads a few kilobytes of it, whatever its
+// Recordings (https://mcap.dev/spec) from a file on disk, by their indices: a seek reads a chunk or two of it, whatever its
 // size. Chunks without compression, as this program writes them.
 
 import type { Feed } from './link';
@@ -7,7 +7,9 @@ const MAGIC = [0x89, 0x4d, 0x43, 0x41, 0x50, 0x30, 0x0d, 0x0a];
 const OP = { footer: 2, channel: 4, message: 5, chunk: 6, messageIndex: 7, chunkIndex: 8 } as const;
 const FOOTER_SIZE = 1 + 8 + 20 + 8; // with the magic behind it
 const CHUNK_HEAD = 1 + 8 + 8 + 8 + 8 + 4 + 4; // its compression's name is empty
-const CACHED = 400;
+const CACHED = 400; // indices
+const KEPT = 24; // whole chunks
+const SMALL = 4 << 20; // bytes of a chunk that is read as a whole
 
 interface Chunk {
   offset: number; // of the record
@@ -15,6 +17,7 @@ interface Chunk {
   end_s: number;
   data: number; // where its records begin in the file
   index: Map<number, number>; // channel: offset of its message index
+  size: number; // of the record with its message indices behind it
 }
 
 class Cursor {
@@ -79,6 +82,7 @@ export class Recording {
   readonly channels = new Map<number, { topic: string; encoding: string }>();
   private chunks: Chunk[] = [];
   private readonly indices = new Map<string, Promise<Index>>();
+  private readonly kept = new Map<number, Promise<Uint8Array>>();
 
   private constructor(private readonly file: Blob) {}
 
@@ -88,8 +92,23 @@ export class Recording {
     return r;
   }
 
-  private async slice(from: number, to: number): Promise<Cursor> {
+  private async slice(from: number, to: number, chunk?: Chunk): Promise<Cursor> {
+    if (chunk && chunk.size <= SMALL) {
+      const bytes = await this.whole(chunk);
+      return new Cursor(bytes.subarray(from - chunk.offset, to - chunk.offset));
+    }
     return new Cursor(new Uint8Array(await this.file.slice(from, to).arrayBuffer()));
+  }
+
+  /** Most of what a seek asks for stands in one chunk: it is read at once, and kept for the next. */
+  private whole(chunk: Chunk): Promise<Uint8Array> {
+    let bytes = this.kept.get(chunk.offset);
+    if (!bytes) {
+      if (this.kept.size >= KEPT) this.kept.delete(this.kept.keys().next().value!);
+      bytes = this.file.slice(chunk.offset, chunk.offset + chunk.size).arrayBuffer().then((b) => new Uint8Array(b));
+      this.kept.set(chunk.offset, bytes);
+    }
+    return bytes;
   }
 
   private async readSummary(): Promise<void> {
@@ -123,14 +142,14 @@ export class Recording {
     const start_s = c.u64() * 1e-9;
     const end_s = c.u64() * 1e-9;
     const offset = c.u64();
-    c.skip(8);
+    const length = c.u64();
     const map = c.part(c.u32());
     const index = new Map<number, number>();
     while (map.left >= 10) index.set(map.u16(), map.u64());
-    c.skip(8);
+    const size = length + c.u64();
     const compression = c.text();
     if (compression !== '') throw new Error(`its chunks are compressed (${compression}): write it without (mcap compress --compression none)`);
-    this.chunks.push({ offset, start_s, end_s, data: offset + CHUNK_HEAD + 8, index });
+    this.chunks.push({ offset, start_s, end_s, data: offset + CHUNK_HEAD + 8, index, size });
     if (index.size === 0) return;
     this.start_s = Math.min(this.start_s, start_s);
     this.end_s = Math.max(this.end_s, end_s);
@@ -141,17 +160,17 @@ export class Recording {
     let found = this.indices.get(key);
     if (!found) {
       if (this.indices.size > CACHED) this.indices.delete(this.indices.keys().next().value!);
-      this.indices.set(key, (found = this.readIndex(chunk.index.get(channel)!)));
+      this.indices.set(key, (found = this.readIndex(chunk, chunk.index.get(channel)!)));
     }
     return found;
   }
 
-  private async readIndex(offset: number): Promise<Index> {
-    const head = await this.slice(offset, offset + 15);
+  private async readIndex(chunk: Chunk, offset: number): Promise<Index> {
+    const head = await this.slice(offset, offset + 15, chunk);
     if (head.u8() !== OP.messageIndex) throw new Error('an index is damaged');
     head.skip(8 + 2);
     const size = head.u32();
-    const c = await this.slice(offset + 15, offset + 15 + size);
+    const c = await this.slice(offset + 15, offset + 15 + size, chunk);
     const rows: [number, number][] = [];
     while (c.left >= 16) rows.push([c.u64() * 1e-9, c.u64()]);
     rows.sort((a, b) => a[0] - b[0] || a[1] - b[1]);
@@ -166,16 +185,16 @@ export class Recording {
       const { times, offsets } = await this.index(chunk, channel);
       const k = lastNotAfter(times, t);
       if (k < 0) continue;
-      return { key: `${chunk.offset} ${offsets[k]}`, time_s: times[k], read: () => this.message(chunk.data + offsets[k]) };
+      return { key: `${chunk.offset} ${offsets[k]}`, time_s: times[k], read: () => this.message(chunk, chunk.data + offsets[k]) };
     }
     return null;
   }
 
-  private async message(offset: number): Promise<unknown> {
-    const head = await this.slice(offset, offset + 9);
+  private async message(chunk: Chunk, offset: number): Promise<unknown> {
+    const head = await this.slice(offset, offset + 9, chunk);
     if (head.u8() !== OP.message) throw new Error('a message is damaged');
     const size = head.u64();
-    const c = await this.slice(offset + 9 + 22, offset + 9 + size); // behind channel, sequence, times
+    const c = await this.slice(offset + 9 + 22, offset + 9 + size, chunk); // behind channel, sequence, times
     return JSON.parse(new TextDecoder().decode(c.bytes));
   }
 }

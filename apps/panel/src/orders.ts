@@ -17,8 +17,8 @@ export const ORDERS: Order[] = [
   { name: 'Abort', key: 'a', shown: 'A' },
   { name: 'Reinit', key: 'r', shown: 'R' },
   { name: 'Validate', key: 'v', shown: 'V' },
-  { name: 'Download', key: 'D', shown: 'Shift D' },
-  { name: 'Execute', key: 'E', shown: 'Shift E' },
+  { name: 'Download', key: 'D', shown: '⇧ D' },
+  { name: 'Execute', key: 'E', shown: '⇧ E' },
   { name: 'Manual', key: 'm', shown: 'M' },
   { name: 'Automatic', key: 'm', shown: 'M' },
 ];

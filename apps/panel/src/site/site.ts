@@ -52,7 +52,7 @@ class SiteView {
   private readonly told = h('p', { class: 'told', role: 'status' });
   private readonly path = h('div', { class: 'path' });
   private readonly source = h('p', { class: 'source', role: 'status' });
-  private readonly close = h('button', { type: 'button', disabled: true, click: () => this.closeArea() }, 'Close the area', h('kbd', {}, 'Enter'));
+  private readonly close = h('button', { type: 'button', disabled: true, hidden: true, click: () => this.closeArea() }, 'Close the area', h('kbd', {}, 'Enter'));
   private ends: (() => void)[] = [];
   private feed: Feed | null = null;
   private ghostTopics = new Set<string>();

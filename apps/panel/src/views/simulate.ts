@@ -23,7 +23,7 @@ function ordersCard(link: Link): HTMLElement {
   const orders = Orders.of.get(link)!;
   const buttons = ORDERS.map((o) => ({
     order: o,
-    button: h('button', { type: 'button', id: `order-${o.name}`, 'aria-keyshortcuts': o.shown.replace(' ', '+'), click: () => void orders.give(o.name) }, o.name, h('kbd', {}, o.shown)),
+    button: h('button', { type: 'button', id: `order-${o.name}`, 'aria-keyshortcuts': o.shown.replace('⇧ ', 'Shift+'), click: () => void orders.give(o.name) }, o.name, h('kbd', {}, o.shown)),
   }));
   const told = h('p', { class: 'told', role: 'status' });
   const why = h('p', { class: 'note' });
@@ -48,7 +48,7 @@ function ordersCard(link: Link): HTMLElement {
 // ---- by hand ----
 
 function jogButton(orders: Orders, joint: string, sign: number, label: string, key: string): HTMLButtonElement {
-  const button = h('button', { type: 'button', class: 'jog', 'aria-label': label, title: `hold (${KEY_NAMES[key] ?? key})` }, sign < 0 ? '−' : '+', h('kbd', {}, KEY_NAMES[key] ?? key));
+  const button = h('button', { type: 'button', class: 'jog', 'aria-label': label, title: `hold (${KEY_NAMES[key] ?? key})` }, sign < 0 ? '−' : '+', h('kbd', { 'data-key': KEY_NAMES[key] ?? key }));
   const press = () => orders.hold(joint, sign);
   const end = () => orders.release();
   button.addEventListener('pointerdown', (event) => {
@@ -275,7 +275,7 @@ function stateCard(link: Link): HTMLElement {
   let detail = '';
   link.on<Log>('/log', (log) => {
     if (log.message.startsWith('fault: ')) fault = log.message.replace(/^(fault: )+/, '');
-    if (log.message.startsWith('report: ')) detail = log.message.slice(8);
+    if (log.message.startsWith('report: ') && !log.message.includes('deadline')) detail = log.message.slice(8);
     tell();
   });
   /** Why it failed, and what the part that found it says. */
