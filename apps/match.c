@@ -7,7 +7,6 @@
 #include "apps/match_internal.h"
 #include "core/file.h"
 #include "core/rig_formats.h"
-#include "recon/zncc.h"
 
 #define WIDE_BAND_PX 12.0
 
@@ -236,18 +235,9 @@ static td_status guide(match_job *m, td_error *error)
     return TD_OK;
 }
 
-/* The places that a person chose, to a fraction of a pixel where the windows tell. */
 static void refine_choices(match_job *m)
 {
-    for (size_t i = 0; i < m->point_count; i++) {
-        td_match *c = m->point[i].candidate;
-        c->zncc = td_zncc(m->image[0], (int)lround(c->left[0]), (int)lround(c->left[1]), m->image[1],
-                          (int)lround(c->right[0]), (int)lround(c->right[1]), half_window);
-        td_match refined = *c;
-        if (td_match_refine(&refined, m->image[0], m->image[1], half_window) &&
-            hypot(refined.right[0] - c->right[0], refined.right[1] - c->right[1]) < half_window)
-            *c = refined;
-    }
+    for (size_t i = 0; i < m->point_count; i++) match_refine_choice(m, m->point[i].candidate);
 }
 
 /* With the turned camera the band lies elsewhere: other matches, and what the turn really brought. */

@@ -62,6 +62,8 @@ td_status match_choices_read(match_job *m, td_error *error);
 td_status match_candidates_write(const match_job *m, const char *path, td_error *error);
 td_status match_matches_write(const match_job *m, const char *path, td_error *error);
 
+/* A place that a person chose, to a fraction of a pixel where the windows tell. */
+void match_refine_choice(const match_job *m, td_match *choice);
 /* Points in space in the map's frame, triangles and map; points.ply. */
 td_status match_space(match_job *m, td_error *error);
 td_status match_cloud_write(const match_job *m, const char *path, td_error *error);

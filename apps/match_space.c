@@ -7,6 +7,7 @@
 #include "apps/match_internal.h"
 #include "core/linalg.h"
 #include "recon/tin.h"
+#include "recon/zncc.h"
 
 /* Along which the joint covariance of so many points is still small work. */
 enum { MOST_JOINT = 400 };
@@ -18,6 +19,17 @@ double match_sigma(const double covariance[9])
         if (!isfinite(covariance[k])) return NAN;
     if (td_eigen_symmetric(value, NULL, covariance, 3, NULL) != TD_OK) return NAN;
     return sqrt(fmax(value[2], 0));
+}
+
+void match_refine_choice(const match_job *m, td_match *c)
+{
+    const int k = m->options.half_window;
+    c->zncc = td_zncc(m->image[0], (int)lround(c->left[0]), (int)lround(c->left[1]), m->image[1],
+                      (int)lround(c->right[0]), (int)lround(c->right[1]), k);
+    td_match refined = *c;
+    if (td_match_refine(&refined, m->image[0], m->image[1], k) &&
+        hypot(refined.right[0] - c->right[0], refined.right[1] - c->right[1]) < k)
+        *c = refined;
 }
 
 /* Frame of the map: the vehicle's when the rig knows it; else the first camera's with its axes as a vehicle

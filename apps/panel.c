@@ -10,9 +10,11 @@
 #include "apps/panel_internal.h"
 #include "core/document.h"
 
-static const char *scenario_path, *listen_at, *token_file, *certificate, *key_file, *on_miss;
+static const char *scenario_path, *listen_at, *token_file, *certificate, *key_file, *on_miss, *left_source,
+    *right_source, *target_words;
+static double rate_hz = 10;
 static cli_common common;
-static cli_list origins;
+static cli_list origins, places;
 static bool insecure;
 static int port = -1, most_clients = 256;
 static double for_s;
@@ -40,6 +42,16 @@ static cli_option options[] = {
      0, task_miss_names},
     {.type = CLI_HEADING, .name = "The machine that does it"},
     MACHINE_ADDRESS_OPTIONS(far),
+    {.type = CLI_HEADING, .name = "Pictures"},
+    {CLI_STRING, "left", 0, &left_source, "SOURCE",
+     "pictures to acquire: a camera, a video, a folder or a pattern, as teledimos capture takes them", 0, 0,
+     NULL},
+    {CLI_STRING, "right", 0, &right_source, "SOURCE", "and those of the pair's other camera", 0, 0, NULL},
+    {CLI_REAL, "rate", 0, &rate_hz, "HZ", "pictures a second; default 10", 0.1, 100, NULL},
+    {CLI_STRING, "target", 0, &target_words, "TARGET",
+     "what is seen, for the dataset that is stored: 'marks 6x6 30mm diameter 20.7mm'", 0, 0, NULL},
+    {CLI_LIST, "bench", 0, &places, "DATASET",
+     "a dataset, or a folder of pictures, that may be opened; may be given several times", 0, 0, NULL},
     CLI_COMMON_OPTIONS(common, "folder for the products: recording.mcap, audit.jsonl, result.yaml, log.jsonl",
                        "nothing is drawn"),
 };
@@ -74,13 +86,21 @@ static cli_command command = {
         "who is slow skips what is no longer new; one who reads nothing for 10 "
         "s "
         "is put out.\n\n"
+        "Pictures: --left and --right are shown live (/acquire), frozen and stored (Freeze, Store) in "
+        "DIR/acquired; datasets named by --bench, and that one, are opened, calibrated and matched by clicks "
+        "(OpenBench, FindMarks, Calibrate, MatchPoint …; see teledimos workbench). Each client has a bench "
+        "of "
+        "its own, four in all, in a process of its own; what is left on the disk is for who holds "
+        "control.\n\n"
         "SIGINT and SIGTERM stop the machine and end the recording. teledimos simulate SCENARIO --replay "
         "DIR/recording.mcap does the session again, unless parameters were changed. On a busy machine "
         "real-time priority keeps the ticks (chrt -f 10 teledimos panel …).\n\n"
         "Exit status: 0 done, 1 failed, 2 wrong usage, 3 the simulation broke off.",
     .examples = "  teledimos panel datasets/zx200/paper.yaml -o panel\n"
                 "  teledimos panel datasets/zx200/paper.yaml -o panel --origin https://app.foxglove.dev\n"
-                "  teledimos panel datasets/zx200/dig.yaml -o panel --port 0 --for 60\n",
+                "  teledimos panel datasets/zx200/dig.yaml -o panel --port 0 --for 60\n"
+                "  teledimos panel datasets/zx200/paper.yaml -o panel --bench datasets/visp-marks --bench "
+                "datasets/aloe\n",
     .option = options,
     .option_count = sizeof options / sizeof *options,
     .least = 0,
@@ -208,7 +228,16 @@ static td_status read_options(panel *p, td_error *error)
                                  .origin = origins.value,
                                  .origin_count = origins.count,
                                  .most_clients = most_clients,
-                                 .for_s = for_s};
+                                 .for_s = for_s,
+                                 .bench = {.source = {left_source, right_source},
+                                           .target = target_words,
+                                           .rate_hz = rate_hz,
+                                           .place = places.value,
+                                           .places = places.count}};
+    if (right_source && !left_source) return td_fail(error, TD_ERROR_ARGUMENT, "--right goes with --left");
+    if (places.count > PANEL_BENCH_PLACES)
+        return td_fail(error, TD_ERROR_ARGUMENT, "--bench: %zu are given; at most %d are opened",
+                       places.count, PANEL_BENCH_PLACES);
     if (listen_at && port >= 0) return td_fail(error, TD_ERROR_ARGUMENT, "--listen and --port: one of them");
     if (!certificate != !key_file) return td_fail(error, TD_ERROR_ARGUMENT, "--cert and --key go together");
     if (!listen_at) return TD_OK;

@@ -150,13 +150,17 @@ static void fault(panel_desk *d, panel_client *client, const char *what, const c
 
 void panel_desk_greet(panel_desk *d, panel_client *client)
 {
-    panel_service list[SERVICES];
+    enum { MOST = SERVICES + 32 };
+    size_t benches;
+    const panel_bench_service *bench = panel_bench_services(d->o.bench, &benches);
+    panel_service list[MOST];
     char name[200];
     for (int i = 0; i < SERVICES; i++) list[i] = services[i].about;
+    for (size_t i = 0; i < benches && i < MOST - SERVICES; i++) list[SERVICES + i] = bench[i].about;
     snprintf(name, sizeof name, "teledimos panel: %s", d->o.scenario->name);
-    reply(client, panel_server_info(name, d->session));
+    reply(client, panel_server_info(name, d->session, client->number));
     reply(client, panel_advertise(d->o.channel, d->o.channel_count));
-    reply(client, panel_advertise_services(list, SERVICES));
+    reply(client, panel_advertise_services(list, SERVICES + benches));
 }
 
 /* ---- control ---- */
@@ -254,6 +258,7 @@ void panel_desk_leave(panel_desk *d, panel_client *client, const char *why)
     audit_stranger(d->o.audit, "disconnect", fields);
     d->o.counts->sent += client->box.sent;
     d->o.counts->skipped += client->box.skipped;
+    panel_bench_leave(d->o.bench, client->number);
     if (d->operator_number != client->number) return;
     /* Whatever the log says: a machine that nobody leads is stopped. */
     atomic_store(&d->o.link->stop, true);
@@ -303,7 +308,7 @@ static const char *read_jog(panel_order *o, const panel_desk *d, const json_t *a
     return NULL;
 }
 
-static const char *check_keys(const service *s, const json_t *arguments)
+static const char *check_keys(const char *keys, const json_t *arguments)
 {
     const char *key;
     char blanks[64];
@@ -311,7 +316,7 @@ static const char *check_keys(const service *s, const json_t *arguments)
     json_object_foreach((json_t *)arguments, key, value)
     {
         snprintf(blanks, sizeof blanks, " %s ", key);
-        if (!s->keys || strlen(key) > 60 || strchr(key, ' ') || !strstr(s->keys, blanks))
+        if (!keys || strlen(key) > 60 || strchr(key, ' ') || !strstr(keys, blanks))
             return "an argument that this service has not";
     }
     return NULL;
@@ -342,6 +347,64 @@ static void call_order(panel_desk *d, panel_client *client, const panel_request 
     if (why) refuse_call(d, client, r, why);
 }
 
+/* ---- benches ---- */
+
+static const panel_bench_service *bench_service(const panel_desk *d, uint32_t number)
+{
+    size_t count;
+    const panel_bench_service *list = panel_bench_services(d->o.bench, &count);
+    return number > SERVICES && number - SERVICES <= count ? list + number - SERVICES - 1 : NULL;
+}
+
+static void refuse_bench(panel_desk *d, panel_client *client, uint32_t number, uint32_t of_call,
+                         const char *name, const char *why)
+{
+    panel_desk_refuse(d, client, name, why);
+    reply(client, panel_failure(number, of_call, why));
+}
+
+/* What leaves something behind is for who holds control, and stands in the audit log. */
+static const char *may_lead(panel_desk *d, const panel_client *client, const panel_request *r,
+                            const panel_bench_service *s)
+{
+    if (!s->led) return NULL;
+    if (d->operator_number != client->number)
+        return d->operator_number ? "another client holds control"
+                                  : "nobody holds control: TakeControl first";
+    json_t *fields = about(client);
+    json_object_set_new(fields, "request", json_string(s->about.name));
+    if (json_object_size(r->arguments)) json_object_set(fields, "arguments", r->arguments);
+    return audit_write(d->o.audit, "bench", fields) ? NULL : "the audit log cannot be written";
+}
+
+static void call_bench(panel_desk *d, panel_client *client, const panel_request *r)
+{
+    enum { MOST_UNREAD = 8 }; /* pictures are large */
+    const panel_bench_service *s = bench_service(d, r->service);
+    const char *why = check_keys(s->keys, r->arguments);
+    if (!why && client->box.replies > MOST_UNREAD) why = "answers wait to be read";
+    if (!why) why = may_lead(d, client, r, s);
+    if (!why)
+        why = panel_bench_call(d->o.bench, client->number, client->number == d->operator_number, r->service,
+                               r->call, s, r->arguments);
+    if (why) refuse_bench(d, client, r->service, r->call, s->about.name, why);
+}
+
+void panel_desk_bench(panel_desk *d, const panel_bench_answer *a)
+{
+    panel_client *client = a->client ? d->o.find(d->o.user, a->client) : NULL;
+    if (client && a->json)
+        reply(client, panel_response(a->service, a->call, json_incref(a->json)));
+    else if (client && a->call)
+        refuse_bench(d, client, a->service, a->call, a->name, a->why);
+    else if (client)
+        reply(client, panel_status(PANEL_WARNING, a->why));
+    json_decref(a->json);
+    if (!a->name)
+        audit_stranger(d->o.audit, "bench ended",
+                       json_pack("{s:I, s:s}", "client", (json_int_t)a->client, "why", a->why));
+}
+
 /* Calls of a connection rise in their numbers, so that one that was sent before is known. */
 static void call(panel_desk *d, panel_client *client, const panel_request *r)
 {
@@ -352,11 +415,15 @@ static void call(panel_desk *d, panel_client *client, const panel_request *r)
     }
     client->called = true;
     client->last_call = r->call;
+    if (r->service > SERVICES && bench_service(d, r->service)) {
+        call_bench(d, client, r);
+        return;
+    }
     if (r->service < 1 || r->service > SERVICES) {
         refuse_call(d, client, r, "there is no service of that number");
         return;
     }
-    const char *why = check_keys(services + r->service - 1, r->arguments);
+    const char *why = check_keys(services[r->service - 1].keys, r->arguments);
     const bool takes = r->service == TAKE + 1;
     if (!why && !takes && d->operator_number != client->number)
         why = d->operator_number ? "another client holds control" : "nobody holds control: TakeControl first";

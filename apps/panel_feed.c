@@ -3,7 +3,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "apps/panel_about.h"
 #include "core/document.h"
+#include "core/foxglove.h"
 
 enum { EVENTS_KEPT = 512 };
 static const double FLUSH_S = 5;
@@ -51,6 +53,14 @@ static const char diagnostics_schema[] =
     "\"type\":\"integer\"},\"samples_dropped\":{\"type\":\"integer\"},\"orders\":{\"type\":\"integer\"},"
     "\"refused\":{\"type\":\"integer\"}}}";
 
+static const char about_schema[] = "{\"type\":\"object\",\"title\":\"teledimos.Panel\",\"properties\":{"
+                                   "\"scenario\":{\"type\":\"string\"},\"robot\":{"
+                                   "\"type\":\"string\"},\"task\":{\"type\":\"string\"},\"task_frame\":{"
+                                   "\"type\":\"string\"},\"period_s\":{\"type\":"
+                                   "\"number\"},\"joints\":{\"type\":\"array\",\"items\":{\"type\":"
+                                   "\"object\"}},\"parameters\":{\"type\":\"array\","
+                                   "\"items\":{\"type\":\"object\"}},\"behaviour\":{\"type\":\"object\"}}}";
+
 static void publish_session(panel_feed *f, const panel_sample *p)
 {
     const task_sample *a = &p->sample;
@@ -94,6 +104,9 @@ static td_status take_news(panel_feed *f, const panel_news *n, td_error *error)
         return task_message_ground(&to, &n->ground, error);
     case PANEL_CHANGE:
         return task_message_input(&to, robot, n->period, n->time_s, "parameter", "a parameter", -1, 0, error);
+    case PANEL_PLAN:
+        panel_feed_publish_json(f, PANEL_PATH, panel_plan_json(&n->plan, robot));
+        return TD_OK;
     default:
         panel_desk_answer(f->desk, n);
         return TD_OK;
@@ -134,10 +147,12 @@ void panel_feed_take(panel_feed *f)
 
 static td_status add_channels(panel_feed *f, td_error *error)
 {
-    static const td_mcap_channel own[] = {
+    const td_mcap_channel own[] = {
         {"/session", "json", "teledimos.Session", "jsonschema", session_schema, sizeof session_schema - 1},
         {"/diagnostics", "json", "teledimos.Diagnostics", "jsonschema", diagnostics_schema,
-         sizeof diagnostics_schema - 1}};
+         sizeof diagnostics_schema - 1},
+        {"/panel", "json", "teledimos.Panel", "jsonschema", about_schema, sizeof about_schema - 1},
+        td_foxglove_channel(TD_FOXGLOVE_SCENE, "/plan")};
     for (int i = 0; i < PANEL_CHANNELS; i++) {
         const bool events = i == TASK_LOG || i == TASK_INPUTS;
         f->index[i] = -1;
@@ -153,12 +168,21 @@ static td_status add_channels(panel_feed *f, td_error *error)
     return TD_OK;
 }
 
+td_status panel_feed_add(panel_feed *f, int *index, const td_mcap_channel *about, td_error *error)
+{
+    *index = panel_hub_add(&f->hub, 1);
+    if (*index < 0) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
+    f->about[f->about_count++] = *about;
+    return TD_OK;
+}
+
 td_status panel_feed_begin(panel_feed *f, const char *recording, const char *identity, td_error *error)
 {
     const task_sink to = {.take = panel_feed_take_message, .user = f};
     TD_TRY(add_channels(f, error));
     TD_TRY(task_recording_begin(&f->writer, f->recorded, recording, f->scenario->map != NULL, error));
     f->flushed_s = terminal_now_s();
+    panel_feed_publish_json(f, PANEL_ABOUT, panel_about_json(f->scenario, f->parameter, f->parameter_count));
     TD_TRY(task_message_begin(&to, f->scenario->robot, identity, error));
     return f->machine ? panel_feed_machine_begin(f, error) : TD_OK;
 }

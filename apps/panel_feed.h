@@ -10,6 +10,8 @@
 enum {
     PANEL_SESSION = TASK_CHANNELS,
     PANEL_DIAGNOSTICS,
+    PANEL_ABOUT,
+    PANEL_PATH,
     PANEL_MEASURED_TF,
     PANEL_MEASURED_JOINTS,
     PANEL_MEASURED_MACHINE,
@@ -22,9 +24,11 @@ enum {
 typedef struct panel_feed {
     panel_link *link;
     const scenario *scenario;
+    const panel_parameter *parameter; /* (parameter_count) */
+    int parameter_count;
     panel_hub hub;
     int index[PANEL_CHANNELS]; /* in the hub, one less than the number as advertised; -1: not there */
-    td_mcap_channel about[PANEL_CHANNELS]; /* (about_count) as advertised */
+    td_mcap_channel about[PANEL_MAX_CHANNELS]; /* (about_count) as advertised */
     size_t about_count;
     td_mcap_writer *writer;
     int recorded[PANEL_CHANNELS]; /* the recording's numbers; -1: not there */
@@ -56,6 +60,8 @@ void panel_feed_take(panel_feed *feed);
 void panel_feed_diagnose(panel_feed *feed);
 /* Now and then: what a kill leaves of the recording. */
 void panel_feed_flush(panel_feed *feed, double now_s);
+/* A further channel of states, which is not recorded: its index in the hub. */
+td_status panel_feed_add(panel_feed *feed, int *index, const td_mcap_channel *about, td_error *error);
 td_status panel_feed_finish(panel_feed *feed, long period, double time_s, td_error *error);
 
 #endif

@@ -12,6 +12,7 @@
 #include <stdatomic.h>
 
 #include "apps/audit.h"
+#include "apps/panel_bench.h"
 #include "apps/panel_hub.h"
 #include "apps/panel_machine.h"
 #include "apps/panel_ring.h"
@@ -39,6 +40,8 @@ bool panel_parameter_is_settable(const panel_parameter *p);
 td_status panel_parameter_read(double *number, const panel_parameter *p, const json_t *value,
                                td_error *error);
 json_t *panel_parameter_json(const panel_parameter *p);
+/* The names of the laws of motion. */
+json_t *panel_laws_json(void);
 void panel_parameter_show(panel_parameter *p, double number);
 /* The session's: sets it where it stands; refused, and left as it was, when the task does not fit the robot.
  */
@@ -58,9 +61,10 @@ typedef struct panel_sample {
 
 typedef struct panel_news {
     panel_numbered head;
-    enum { PANEL_NOTE, PANEL_GROUND, PANEL_ANSWER, PANEL_CHANGE } kind;
+    enum { PANEL_NOTE, PANEL_GROUND, PANEL_ANSWER, PANEL_CHANGE, PANEL_PLAN } kind;
     task_note note;
     task_ground ground;
+    live_plan plan;
     /* ANSWER, to `order`: */
     uint64_t order;
     bool accepted;
@@ -107,8 +111,9 @@ typedef struct panel_options {
     const char *const *origin; /* besides our own */
     size_t origin_count;
     int most_clients;
-    double for_s;           /* 0: until told to end */
-    panel_machine *machine; /* lent; NULL: none */
+    double for_s;              /* 0: until told to end */
+    panel_machine *machine;    /* lent; NULL: none */
+    panel_bench_options bench; /* what pictures there are */
 } panel_options;
 
 /* `link`, `s` and `list` are lent. */
@@ -148,6 +153,7 @@ typedef struct panel_desk_options {
     panel_counts *counts;
     const td_mcap_channel *channel; /* as advertised */
     size_t channel_count;
+    panel_bench *bench;
     panel_client *(*find)(void *user, uint64_t number);
     void (*each)(void *user, void (*f)(panel_client *client, void *with), void *with);
     void *user;
@@ -161,6 +167,8 @@ void panel_desk_take(panel_desk *desk, panel_client *client, const void *bytes, 
 /* Something about a client that is refused. */
 void panel_desk_refuse(panel_desk *desk, panel_client *client, const char *what, const char *why);
 void panel_desk_answer(panel_desk *desk, const panel_news *news);
+/* Of a bench. */
+void panel_desk_bench(panel_desk *desk, const panel_bench_answer *answer);
 void panel_desk_phase(panel_desk *desk, td_phase phase);
 /* Into the audit log; `fields` is taken. */
 void panel_desk_note(panel_desk *desk, const char *what, json_t *fields);

@@ -289,6 +289,17 @@ static td_status show(struct live *live, const live_view *view, td_error *error)
     return TD_OK;
 }
 
+static td_status send_plan(struct live *live, const live_plan *plan, td_error *error)
+{
+    panel_live *l = (panel_live *)live;
+    panel_news *n = fresh_news(l);
+    if (!n) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
+    n->kind = PANEL_PLAN;
+    n->plan = *plan;
+    if (!panel_ring_offer(&l->link->news, n)) release_news(n); /* the next one will be seen */
+    return TD_OK;
+}
+
 static bool is_attended(const struct live *live)
 {
     return !((const panel_live *)live)->ending;
@@ -320,6 +331,7 @@ td_status panel_live_begin(struct live **live, panel_link *link, scenario *s, co
     l->live.answered = take_answers;
     l->live.attended = is_attended;
     l->live.show = show;
+    l->live.planned = send_plan;
     l->link = link;
     l->scenario = s;
     l->parameter = list;

@@ -39,10 +39,23 @@ static void add_real(listing *l, const char *name, double *target, double low, d
     p->low = low, p->high = high;
 }
 
-static void add_position(listing *l, td_task_position *p, int step)
+/* "/task/step_1/to/x_m" and so on. */
+static void add_point(listing *l, td_task_point *p, int step, const char *which)
 {
     static const char *const axes[] = {"x_m", "y_m", "z_m"};
     char name[96];
+    for (int k = 0; k < 3; k++) {
+        snprintf(name, sizeof name, "/task/step_%d/%s/%s", step + 1, which, axes[k]);
+        add_real(l, name, p->at_m + k, -1e5, 1e5);
+    }
+    if (p->attitude != TD_TASK_PITCH) return;
+    snprintf(name, sizeof name, "/task/step_%d/%s/pitch_deg", step + 1, which);
+    add_real(l, name, &p->pitch_deg, -180, 180);
+}
+
+static void add_position(listing *l, td_task_position *p, int step)
+{
+    char name[96], which[16];
     snprintf(name, sizeof name, "/task/step_%d/duration_s", step + 1);
     add_real(l, name, &p->duration_s, 0, 1e5);
     snprintf(name, sizeof name, "/task/step_%d/law", step + 1);
@@ -50,13 +63,11 @@ static void add_position(listing *l, td_task_position *p, int step)
     law->kind = PANEL_LAW;
     law->law = &p->law;
     panel_parameter_show(law, p->law);
-    for (int k = 0; k < 3 && p->joint_count == 0; k++) {
-        snprintf(name, sizeof name, "/task/step_%d/to/%s", step + 1, axes[k]);
-        add_real(l, name, p->to.at_m + k, -1e5, 1e5);
+    for (int i = 0; i < p->via_count; i++) {
+        snprintf(which, sizeof which, "via_%d", i + 1);
+        add_point(l, p->via + i, step, which);
     }
-    if (p->joint_count > 0 || p->to.attitude != TD_TASK_PITCH) return;
-    snprintf(name, sizeof name, "/task/step_%d/to/pitch_deg", step + 1);
-    add_real(l, name, &p->to.pitch_deg, -180, 180);
+    if (p->joint_count == 0) add_point(l, &p->to, step, "to");
 }
 
 int panel_parameters_of(panel_parameter list[PANEL_MAX_PARAMETERS], scenario *s)
@@ -74,6 +85,13 @@ int panel_parameters_of(panel_parameter list[PANEL_MAX_PARAMETERS], scenario *s)
         if (s->task->task->step[i].kind == TD_TASK_POSITION)
             add_position(&l, &s->task->task->step[i].as.position, i);
     return l.count;
+}
+
+json_t *panel_laws_json(void)
+{
+    json_t *list = json_array();
+    for (int i = 0; i < LAWS; i++) json_array_append_new(list, json_string(laws[i]));
+    return list;
 }
 
 bool panel_parameter_is_settable(const panel_parameter *p)

@@ -174,12 +174,14 @@ static panel_bytes text_of(json_t *message)
     return (panel_bytes){(unsigned char *)text, text ? strlen(text) : 0, false};
 }
 
-panel_bytes panel_server_info(const char *name, const char *session)
+panel_bytes panel_server_info(const char *name, const char *session, uint64_t client)
 {
-    return text_of(json_pack("{s:s, s:s, s:[s,s,s,s], s:[s], s:s, s:{s:s}}", "op", "serverInfo", "name", name,
-                             "capabilities", "time", "services", "parameters", "parametersSubscribe",
+    char number[24];
+    snprintf(number, sizeof number, "%llu", (unsigned long long)client);
+    return text_of(json_pack("{s:s, s:s, s:[s,s,s,s], s:[s], s:s, s:{s:s, s:s}}", "op", "serverInfo", "name",
+                             name, "capabilities", "time", "services", "parameters", "parametersSubscribe",
                              "supportedEncodings", "json", "sessionId", session, "metadata", "program",
-                             "teledimos"));
+                             "teledimos", "client", number));
 }
 
 panel_bytes panel_advertise(const td_mcap_channel *channel, size_t count)

@@ -74,7 +74,8 @@ typedef struct panel_service {
     const char *request, *response; /* JSON schemas */
 } panel_service;
 
-panel_bytes panel_server_info(const char *name, const char *session);
+/* `client`: the number of the one who is told. */
+panel_bytes panel_server_info(const char *name, const char *session, uint64_t client);
 panel_bytes panel_advertise(const td_mcap_channel *channel, size_t count);
 panel_bytes panel_advertise_services(const panel_service *service, size_t count);
 /* What stands before the message's own bytes. */

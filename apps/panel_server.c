@@ -14,6 +14,7 @@
 
 #include "apps/panel_door.h"
 #include "apps/panel_feed.h"
+#include "apps/panel_files.h"
 #include "core/file.h"
 
 enum {
@@ -44,6 +45,7 @@ struct panel_server {
     audit audit;
     panel_counts counts;
     panel_desk *desk;
+    panel_bench *bench;
     /* libwebsockets. */
     struct lws_context *context;
     struct lws_vhost *host;
@@ -51,10 +53,12 @@ struct panel_server {
     double swept_s; /* when `second` last came */
     pthread_t thread;
     bool started;
+    size_t acquired; /* channels of pictures, the last ones */
     atomic_bool stop;
     connection *first;
     uint64_t clients; /* so far */
-    char url[120], page[1600];
+    char url[120];
+    panel_files files;
     unsigned char piece[LWS_PRE + PIECE];
 };
 
@@ -110,12 +114,11 @@ static const char *turn_away(panel_server *s, struct lws *wsi, unsigned *status)
     return NULL;
 }
 
-static int filter(panel_server *s, struct lws *wsi, const char *protocol)
+/* `known`: a subprotocol of ours was among those asked for. */
+static int filter(panel_server *s, struct lws *wsi, bool known)
 {
     char peer[PANEL_PEER_SIZE], origin[200] = "";
     unsigned status = HTTP_STATUS_BAD_REQUEST;
-    const bool known = protocol && (strcmp(protocol, PANEL_PROTOCOL_SDK) == 0 ||
-                                    strcmp(protocol, PANEL_PROTOCOL_WEBSOCKET) == 0);
     const char *why = known ? turn_away(s, wsi, &status) : "none of the subprotocols that are spoken here";
     if (!why) return 0;
     (void)lws_hdr_copy(wsi, origin, sizeof origin, WSI_TOKEN_ORIGIN);
@@ -254,7 +257,7 @@ static int on_socket(struct lws *wsi, enum lws_callback_reasons reason, void *us
     panel_server *s = lws_context_user(lws_get_context(wsi));
     switch (reason) {
     case LWS_CALLBACK_FILTER_PROTOCOL_CONNECTION:
-        return filter(s, wsi, in);
+        return filter(s, wsi, true);
     case LWS_CALLBACK_ESTABLISHED:
         welcome(s, c, wsi);
         return 0;
@@ -271,6 +274,77 @@ static int on_socket(struct lws *wsi, enum lws_callback_reasons reason, void *us
     default:
         return 0;
     }
+}
+
+/* ---- benches ---- */
+
+static const char bench_protocol[] = "teledimos.bench"; /* of their pipes; no client speaks it */
+
+static bool watch_bench(void *user, int file, void *child)
+{
+    panel_server *s = user;
+    const lws_adopt_desc_t pipe = {.vh = s->host,
+                                   .type = LWS_ADOPT_RAW_FILE_DESC,
+                                   .fd = {.filefd = file},
+                                   .vh_prot_name = bench_protocol,
+                                   .opaque = child};
+    return lws_adopt_descriptor_vhost_via_info(&pipe) != NULL;
+}
+
+static void answer_bench(void *user, const panel_bench_answer *answer)
+{
+    panel_server *s = user;
+    panel_desk_bench(s->desk, answer);
+}
+
+static int on_bench(struct lws *wsi, enum lws_callback_reasons reason, void *user, void *in, size_t size)
+{
+    panel_server *s = lws_context_user(lws_get_context(wsi));
+    void *child = reason == LWS_CALLBACK_RAW_RX_FILE || reason == LWS_CALLBACK_RAW_CLOSE_FILE
+                      ? lws_get_opaque_user_data(wsi)
+                      : NULL;
+    switch (reason) {
+    case LWS_CALLBACK_FILTER_PROTOCOL_CONNECTION:
+        return filter(s, wsi, false);
+    case LWS_CALLBACK_RAW_RX_FILE: {
+        const bool goes_on = panel_bench_readable(child);
+        serve_all(s);
+        return goes_on ? 0 : -1;
+    }
+    case LWS_CALLBACK_RAW_CLOSE_FILE:
+        if (child) panel_bench_closed(child);
+        return 0;
+    default:
+        return lws_callback_http_dummy(wsi, reason, user, in, size);
+    }
+}
+
+static bool is_acquisition_watched(const panel_server *s)
+{
+    const size_t first = s->feed.about_count - s->acquired;
+    for (const connection *c = s->first; c; c = c->next)
+        for (size_t i = 0; i < c->client.box.count; i++)
+            if ((size_t)c->client.box.subscription[i].channel >= first) return true;
+    return false;
+}
+
+static td_status begin_bench(panel_server *s, const char *folder, td_error *error)
+{
+    panel_bench_options o = s->options.bench;
+    o.output = folder;
+    o.hub = &s->feed.hub;
+    o.watch = watch_bench;
+    o.answer = answer_bench;
+    o.user = s;
+    s->bench = panel_bench_new(&o);
+    if (!s->bench) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
+    const td_mcap_channel *about = panel_bench_channels(s->bench, &s->acquired);
+    for (size_t k = 0; k < s->acquired; k++) {
+        int index;
+        TD_TRY(panel_feed_add(&s->feed, &index, about + k, error));
+        panel_bench_channel(s->bench, k, index);
+    }
+    return TD_OK;
 }
 
 /* ---- timers ---- */
@@ -302,63 +376,124 @@ static void each_half_second(lws_sorted_usec_list_t *timer)
 {
     panel_server *s = lws_container_of(timer, panel_server, half);
     panel_feed_diagnose(&s->feed);
+    panel_bench_tick(s->bench, is_acquisition_watched(s), terminal_now_s());
     serve_all(s);
     lws_sul_schedule(s->context, 0, &s->half, each_half_second, LWS_US_PER_SEC / 2);
 }
 
 /* ---- the page ---- */
 
-static void write_page(panel_server *s)
+/* How to connect by other programs; and in the page's place where that is not installed. */
+static td_status add_page_of_text(panel_server *s, const char *path, bool installed, td_error *error)
 {
+    char page[1600];
     snprintf(
-        s->page, sizeof s->page,
-        "<!doctype html><meta charset=utf-8><title>teledimos panel</title>\n"
-        "<style>body{font:16px sans-serif;max-width:40em;margin:3em auto;padding:0 1em}</style>\n"
+        page, sizeof page,
+        "<!doctype html><html lang=en><meta charset=utf-8><title>teledimos panel</title>\n"
         "<h1>teledimos panel</h1>\n"
-        "<p>A machine's session in real time, by the Foxglove WebSocket protocol.\n"
+        "<p>A machine's session in real time, by the Foxglove WebSocket protocol.%s\n"
         "<p>In Foxglove choose <i>Open connection, Foxglove WebSocket</i>, and give <code>%s</code>%s.\n"
         "Its 3D panel shows <code>/tf</code>, <code>/machine</code> and <code>/terrain</code>; plots take\n"
         "<code>/joints.joints[:]{name==\"boom\"}.position</code>. Its Service Call panel leads the session:\n"
         "TakeControl, StartSim, Pause, Resume, UserStop, Prepare, Reinit.\n"
         "<p>A page of another origin is let in where <code>--origin</code> names it, as\n"
         "<code>--origin https://app.foxglove.dev</code>.\n",
-        s->url, s->door.locked ? "?token=… with the token's text" : "");
+        installed ? "" : " (The operator's page is not installed: share/teledimos/panel.)", s->url,
+        s->door.locked ? "?token=… with the token's text" : "");
+    return panel_files_add(&s->files, path, "text/html; charset=utf-8", page, strlen(page), error);
 }
 
-static int send_head(panel_server *s, struct lws *wsi)
+static td_status begin_page(panel_server *s, td_error *error)
 {
-    unsigned char head[LWS_PRE + 1024], *begin = head + LWS_PRE, *at = begin, *end = head + sizeof head - 1;
-    static const char no_store[] = "no-store";
-    if (lws_add_http_common_headers(wsi, HTTP_STATUS_OK, "text/html; charset=utf-8", strlen(s->page), &at,
-                                    end) ||
-        lws_add_http_header_by_token(wsi, WSI_TOKEN_HTTP_CACHE_CONTROL, (const unsigned char *)no_store,
-                                     (int)strlen(no_store), &at, end) ||
-        lws_finalize_write_http_header(wsi, begin, &at, end))
+    char folder[1100];
+    if (panel_files_place(folder, sizeof folder)) TD_TRY(panel_files_read(&s->files, folder, error));
+    const bool installed = panel_files_find(&s->files, "/") != NULL;
+    TD_TRY(add_page_of_text(s, "/connect", installed, error));
+    return installed ? TD_OK : add_page_of_text(s, "/", false, error);
+}
+
+/* A file on its way to a browser. */
+typedef struct transfer {
+    const unsigned char *data;
+    size_t size, given;
+} transfer;
+
+/* Nothing from elsewhere is loaded, framed or sent to; the token, which may stand in the address, is told to
+ * nobody. */
+static int add_headers(struct lws *wsi, const panel_file *f, bool packed, unsigned char **at,
+                       unsigned char *end)
+{
+    const struct {
+        const char *name, *value;
+    } rows[] = {
+        {"cache-control:", "no-cache"},
+        {"etag:", f->tag},
+        {"vary:", "accept-encoding"},
+        {"content-security-policy:",
+         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src "
+         "'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"},
+        {"x-content-type-options:", "nosniff"},
+        {"referrer-policy:", "no-referrer"},
+        {"content-encoding:", packed ? "gzip" : NULL},
+    };
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
+        if (rows[i].value && lws_add_http_header_by_name(wsi, (const unsigned char *)rows[i].name,
+                                                         (const unsigned char *)rows[i].value,
+                                                         (int)strlen(rows[i].value), at, end))
+            return 1;
+    return 0;
+}
+
+static bool header_holds(struct lws *wsi, enum lws_token_indexes header, const char *word)
+{
+    char text[300] = "";
+    return lws_hdr_copy(wsi, text, sizeof text, header) > 0 && strstr(text, word) != NULL;
+}
+
+static int send_file(struct lws *wsi, transfer *t, const panel_file *f)
+{
+    unsigned char head[LWS_PRE + 2048], *begin = head + LWS_PRE, *at = begin, *end = head + sizeof head - 1;
+    const bool known = header_holds(wsi, WSI_TOKEN_HTTP_IF_NONE_MATCH, f->tag);
+    const bool packed = f->packed && header_holds(wsi, WSI_TOKEN_HTTP_ACCEPT_ENCODING, "gzip");
+    *t = (transfer){packed ? f->packed : f->data, packed ? f->packed_size : f->size, 0};
+    if (known) t->size = 0;
+    if (lws_add_http_common_headers(wsi, known ? HTTP_STATUS_NOT_MODIFIED : HTTP_STATUS_OK, f->type, t->size,
+                                    &at, end) ||
+        add_headers(wsi, f, packed, &at, end) || lws_finalize_write_http_header(wsi, begin, &at, end))
         return 1;
+    if (t->size == 0) return lws_http_transaction_completed(wsi) ? -1 : 0;
     lws_callback_on_writable(wsi);
     return 0;
 }
 
-static int send_page(panel_server *s, struct lws *wsi)
+static int send_more(panel_server *s, struct lws *wsi, transfer *t)
 {
-    const size_t size = strlen(s->page);
-    memcpy(s->piece + LWS_PRE, s->page, size);
-    if (lws_write(wsi, s->piece + LWS_PRE, size, LWS_WRITE_HTTP_FINAL) < (int)size) return 1;
-    return lws_http_transaction_completed(wsi) ? -1 : 0;
+    if (!t || t->given >= t->size) return 0;
+    const size_t left = t->size - t->given, size = left < PIECE ? left : PIECE;
+    memcpy(s->piece + LWS_PRE, t->data + t->given, size);
+    t->given += size;
+    if (lws_write(wsi, s->piece + LWS_PRE, size, size == left ? LWS_WRITE_HTTP_FINAL : LWS_WRITE_HTTP) <
+        (int)size)
+        return 1;
+    if (size == left) return lws_http_transaction_completed(wsi) ? -1 : 0;
+    lws_callback_on_writable(wsi);
+    return 0;
 }
 
 static int on_http(struct lws *wsi, enum lws_callback_reasons reason, void *user, void *in, size_t size)
 {
     panel_server *s = lws_context_user(lws_get_context(wsi));
+    const panel_file *file = NULL;
     switch (reason) {
     case LWS_CALLBACK_FILTER_PROTOCOL_CONNECTION:
-        return filter(s, wsi, NULL);
+        return filter(s, wsi, false);
     case LWS_CALLBACK_HTTP:
-        if (!strcmp(in, "/")) return send_head(s, wsi);
+        if (lws_hdr_total_length(wsi, WSI_TOKEN_GET_URI) > 0) file = panel_files_find(&s->files, in);
+        if (file) return send_file(wsi, user, file);
         if (lws_return_http_status(wsi, HTTP_STATUS_NOT_FOUND, NULL)) return -1;
         return lws_http_transaction_completed(wsi) ? -1 : 0;
     case LWS_CALLBACK_HTTP_WRITEABLE:
-        return send_page(s, wsi);
+        return send_more(s, wsi, user);
     case LWS_CALLBACK_EVENT_WAIT_CANCELLED:
         if (!s || !s->started) return 0;
         panel_feed_take(&s->feed);
@@ -394,9 +529,10 @@ static void wake(void *user)
 static td_status listen_on(panel_server *s, td_error *error)
 {
     static const struct lws_protocols protocols[] = {
-        {"http", on_http, 0, 0, 0, NULL, 0},
+        {"http", on_http, sizeof(transfer), 0, 0, NULL, 0},
         {PANEL_PROTOCOL_SDK, on_socket, sizeof(connection), 4096, 0, NULL, 0},
         {PANEL_PROTOCOL_WEBSOCKET, on_socket, sizeof(connection), 4096, 0, NULL, 0},
+        {bench_protocol, on_bench, 0, 0, 0, NULL, 0},
         {NULL, NULL, 0, 0, 0, NULL, 0},
     };
     const bool everywhere = strcmp(s->options.host, "0.0.0.0") == 0;
@@ -462,6 +598,7 @@ static td_status begin_desk(panel_server *s, panel_parameter *list, int count, t
                                   .counts = &s->counts,
                                   .channel = s->feed.about,
                                   .channel_count = s->feed.about_count,
+                                  .bench = s->bench,
                                   .find = find_client,
                                   .each = each_client,
                                   .user = s};
@@ -489,8 +626,13 @@ td_status panel_server_new(panel_server **server, panel_link *link, const scenar
 {
     panel_server *s = *server = calloc(1, sizeof *s);
     if (!s) return td_fail(error, TD_ERROR_MEMORY, "no memory for the panel");
-    s->feed = (panel_feed){
-        .link = link, .scenario = sc, .log = log, .counts = &s->counts, .machine = options->machine};
+    s->feed = (panel_feed){.link = link,
+                           .scenario = sc,
+                           .parameter = list,
+                           .parameter_count = count,
+                           .log = log,
+                           .counts = &s->counts,
+                           .machine = options->machine};
     s->options = *options;
     atomic_init(&s->stop, false);
     s->door = (panel_door){.local = panel_door_is_local(options->host),
@@ -499,8 +641,9 @@ td_status panel_server_new(panel_server **server, panel_link *link, const scenar
     if (options->token_file) TD_TRY(panel_door_token(&s->door, options->token_file, error));
     TD_TRY(listen_on(s, error));
     TD_TRY(begin_files(s, folder, error));
+    TD_TRY(begin_bench(s, folder, error));
     TD_TRY(begin_desk(s, list, count, error));
-    write_page(s);
+    TD_TRY(begin_page(s, error));
     return start(s, error);
 }
 
@@ -517,6 +660,7 @@ static void stop(panel_server *s)
         pthread_join(s->thread, NULL);
     }
     s->started = false;
+    panel_bench_stop(s->bench);
     if (s->context) lws_context_destroy(s->context);
     s->context = NULL;
 }
@@ -526,7 +670,9 @@ void panel_server_free(panel_server **server)
     panel_server *s = *server;
     if (!s) return;
     stop(s);
+    panel_bench_free(&s->bench);
     panel_feed_free(&s->feed);
+    panel_files_free(&s->files);
     audit_close(&s->audit);
     panel_desk_free(&s->desk);
     free(s);

@@ -144,6 +144,7 @@ td_status session_keep_ground(session *x, td_error *error)
                          to = (size_t)(row - low[1]) * (size_t)g->map->columns + (size_t)(c - low[0]);
             g->map->height[to] = map->height[from];
             g->map->sigma[to] = map->sigma[from];
+            g->map->provenance[to] = map->provenance[from];
         }
     g->time_s = session_time(x);
     r->ground_count++;

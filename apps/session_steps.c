@@ -89,8 +89,8 @@ static td_status begin_press(session *x, const td_task_press *p, td_error *error
 }
 
 /* What is in the way of a motion, by the map as it is; on the generated dynamics there is none. */
-static td_status look_ahead(bool *clear, session *x, const td_trajectory *planned, bool bucket_may_touch,
-                            td_error *error)
+static td_status look_ahead(bool *clear, live_plan *plan, session *x, const td_trajectory *planned,
+                            bool bucket_may_touch, td_error *error)
 {
     enum { MOST = 400 };
     const double length = td_trajectory_duration(planned);
@@ -116,6 +116,8 @@ static td_status look_ahead(bool *clear, session *x, const td_trajectory *planne
                                            bucket_may_touch, error);
     free(q);
     TD_TRY(status);
+    plan->checked = true;
+    plan->clearance = found;
     if (found.nearest.link >= 0)
         x->run->dug.clearance_m = fmin(x->run->dug.clearance_m, found.nearest.clearance_m);
     x->run->dug.probability = fmax(x->run->dug.probability, found.probability);
@@ -124,10 +126,28 @@ static td_status look_ahead(bool *clear, session *x, const td_trajectory *planne
     return session_report(x, TD_EVENT_UNREACHABLE, text, error);
 }
 
+/* For those who watch: where the tool will go. */
+static td_status tell_plan(session *x, live_plan *plan, const td_trajectory *planned, td_error *error)
+{
+    if (!x->live || !x->live->planned) return TD_OK;
+    plan->time_s = session_time(x);
+    plan->duration_s = td_trajectory_duration(planned);
+    for (int i = 0; i < LIVE_PLAN_POINTS; i++) {
+        double q[TD_ROBOT_MAX_JOINTS];
+        td_trajectory_at(q, NULL, NULL, planned, plan->duration_s * i / (LIVE_PLAN_POINTS - 1));
+        const td_pose tool = session_tool(x, q, &x->state.site_from_vehicle);
+        memcpy(plan->point[i], tool.t, sizeof plan->point[i]);
+    }
+    return x->live->planned(x->live, plan, error);
+}
+
 td_status session_begin_motion(session *x, td_trajectory **planned, bool bucket_may_touch, td_error *error)
 {
     bool clear = false;
-    const td_status status = look_ahead(&clear, x, *planned, bucket_may_touch, error);
+    live_plan plan = {0};
+    td_status status = look_ahead(&clear, &plan, x, *planned, bucket_may_touch, error);
+    plan.clear = clear;
+    if (status == TD_OK) status = tell_plan(x, &plan, *planned, error);
     td_trajectory_free(&x->motion);
     if (status != TD_OK || !clear) {
         td_trajectory_free(planned);

@@ -10,6 +10,7 @@
 #include "core/task.h"
 #include "core/trajectory.h"
 #include "sim/behaviour.h"
+#include "sim/clearance.h"
 #include "sim/clock.h"
 
 /* An order of the operator, or a report that comes from outside the simulation (a missed deadline). */
@@ -247,6 +248,14 @@ typedef struct live_lead {
     const task_run *run;             /* what it came to, simulated */
     const td_plant_command *command; /* of the joints, for this period */
 } live_lead;
+/* A motion that is to begin: the tool's path in the site, and what the map says of it. */
+enum { LIVE_PLAN_POINTS = 61 };
+typedef struct live_plan {
+    double time_s; /* of the session */
+    double duration_s, point[LIVE_PLAN_POINTS][3];
+    bool checked, clear; /* against a map; it may begin */
+    td_clearance clearance;
+} live_plan;
 
 /* In real time: the ticks; where orders come from and where the session is shown. Made by keys (live_begin)
  * or by the panel. All of it is called by the session's thread, which it must not keep waiting. */
@@ -270,6 +279,8 @@ struct live {
      * and is moved by the same hand. NULL: there is none. */
     void (*look)(struct live *live, td_phase phase, live_seen *seen);
     td_status (*lead)(struct live *live, const live_lead *lead, td_error *error);
+    /* May be NULL. */
+    td_status (*planned)(struct live *live, const live_plan *plan, td_error *error);
 };
 /* Its clock, from what the scenario says. */
 void live_pace(struct live *live, const scenario *s, td_log log);

@@ -25,6 +25,7 @@ static const struct {
     {"rehearse", "the closed loop: look, plan, simulate ahead, execute, look again"},
     {"simulate", "a machine moved by given commands, or doing a task: motion, forces, sag"},
     {"panel", "a session in real time, seen and led over the network (Foxglove)"},
+    {"workbench", "pictures worked on for another program: what the panel runs for its views of them"},
     {"servo", "bring the bucket where tags say, by what a camera shows"},
     {"convert", "turn a rig into the files of another tool, or those into a rig"},
     {"target", "print a calibration target at true scale"},

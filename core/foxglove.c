@@ -201,7 +201,7 @@ td_status td_foxglove_machine(char **json, size_t *size, const td_robot *robot, 
 td_status td_foxglove_grid(char **json, size_t *size, const td_elevation *map, uint64_t time_ns,
                            td_error *error)
 {
-    enum { STRIDE = 8 };
+    enum { STRIDE = 9 };
     const size_t cells = (size_t)map->columns * (size_t)map->rows;
     *json = NULL;
     TD_TRY(check_text(map->frame, "frame", error));
@@ -214,6 +214,7 @@ td_status td_foxglove_grid(char **json, size_t *size, const td_elevation *map, u
     for (size_t i = 0; bytes && i < cells; i++) {
         td_put_float(&at, map->height[i]);
         td_put_float(&at, map->sigma[i]);
+        td_put(&at, map->provenance[i], 1);
     }
     /* The message's pose is the corner of the first cell, the map's origin its centre. */
     const double half = map->cell_m / 2;
@@ -222,12 +223,12 @@ td_status td_foxglove_grid(char **json, size_t *size, const td_elevation *map, u
     json_t *data = bytes ? base64(bytes, cells * STRIDE) : NULL;
     free(bytes);
     return give(json, size,
-                json_pack("{s:o,s:s,s:o,s:i,s:{s:f,s:f},s:I,s:i,s:[o,o],s:o}", "timestamp", time_of(time_ns),
-                          "frame_id", map->frame, "pose", pose_of(&corner), "column_count", map->columns,
-                          "cell_size", "x", map->cell_m, "y", map->cell_m, "row_stride",
+                json_pack("{s:o,s:s,s:o,s:i,s:{s:f,s:f},s:I,s:i,s:[o,o,o],s:o}", "timestamp",
+                          time_of(time_ns), "frame_id", map->frame, "pose", pose_of(&corner), "column_count",
+                          map->columns, "cell_size", "x", map->cell_m, "y", map->cell_m, "row_stride",
                           (json_int_t)map->columns * STRIDE, "cell_stride", (int)STRIDE, "fields",
-                          packed_field("height", 0, FLOAT32), packed_field("sigma", 4, FLOAT32), "data",
-                          data),
+                          packed_field("height", 0, FLOAT32), packed_field("sigma", 4, FLOAT32),
+                          packed_field("provenance", 8, UINT8), "data", data),
                 error);
 }
 

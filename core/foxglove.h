@@ -49,7 +49,8 @@ TD_API td_status td_foxglove_pose(char **json, size_t *size, const td_pose *fram
  * is a cylinder with a sphere at each end. rgba 0 … 1. */
 TD_API td_status td_foxglove_machine(char **json, size_t *size, const td_robot *robot, const double rgba[4],
                                      uint64_t time_ns, td_error *error);
-/* Height and sigma, 32-bit reals (NaN: unknown), in the map's frame. At most TD_FOXGLOVE_MAX_CELLS. */
+/* Height and sigma, 32-bit reals (NaN: unknown), and td_provenance, a byte, in the map's frame. At most
+ * TD_FOXGLOVE_MAX_CELLS. */
 enum { TD_FOXGLOVE_MAX_CELLS = 1 << 24 };
 TD_API td_status td_foxglove_grid(char **json, size_t *size, const td_elevation *map, uint64_t time_ns,
                                   td_error *error);

@@ -221,8 +221,8 @@ def check_messages(recording):
     check({t: len(v) for t, v in seen.items()} == {"/tf": 100, "/pose": 100, "/log": 100, "/joints": 100, "/machine": 1,
                                                   "/map": 1, "/cloud": 1, "/image": 1}, "as many messages as were written")
     grid = seen["/map"][0]
-    cells = struct.unpack("<60f", base64.b64decode(grid["data"]))
-    check(grid["column_count"] == 6 and grid["row_stride"] == 48 and cells[2 * 8] == 0.25 and cells[2 * 7] != cells[2 * 7]
+    cells = list(struct.iter_unpack("<ffB", base64.b64decode(grid["data"])))
+    check(grid["column_count"] == 6 and grid["row_stride"] == 54 and cells[8][0] == 0.25 and cells[7][0] != cells[7][0] and len(cells) == 30
           and grid["pose"]["position"] == {"x": 2.75, "y": -2.25, "z": 0}, "the map's cells, its unknown one, its corner")
     cloud = seen["/cloud"][0]
     point = struct.unpack_from("<4f4B", base64.b64decode(cloud["data"]), 3 * cloud["point_stride"])

@@ -257,8 +257,9 @@ def test_ground(folder):
         client.subscribe("/terrain", "/session", "/tf")
         check(client.until(lambda: client.phase() == "ready" and "/terrain" in client.latest), "the ground is seen")
         grid = client.newest("/terrain")
-        cells = numpy.frombuffer(base64.b64decode(grid["data"]), "<f4").reshape(-1, grid["column_count"], 2)
-        check(cells.shape[:2] == (side, side) and numpy.array_equal(cells[:, :, 0], height[::-1]),
+        cells = numpy.frombuffer(base64.b64decode(grid["data"]), [("height", "<f4"), ("sigma", "<f4"), ("provenance", "u1")])
+        cells = cells.reshape(-1, grid["column_count"])
+        check(cells.shape[:2] == (side, side) and numpy.array_equal(cells["height"], height[::-1]),
               f"in pieces, as it was given: {cells.shape}, {len(client.latest['/terrain'][1])} bytes")
         client.order("TakeControl")
         before = client.newest("/tf")["transforms"][0]["translation"]["x"]
@@ -322,13 +323,16 @@ def test_door(folder):
         except Refused:
             check(True, "another subprotocol is turned away")
         panel.client(headers=[f"Origin: http://localhost:{panel.port}"]).close()
+        both = panel.client(", ".join(PROTOCOLS))
+        check("Sec-WebSocket-Protocol: foxglove.sdk.v1" in both.head, "of two subprotocols offered, as browsers do, the first is spoken")
+        both.close()
         with socket.create_connection(("127.0.0.1", panel.port)) as page:
-            page.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+            page.sendall(b"GET /connect HTTP/1.1\r\nHost: x\r\n\r\n")
             text = page.recv(4096).decode()
             page.settimeout(2)
             while "</code>." not in text:
                 text += page.recv(4096).decode()
-        check("200 OK" in text and f"ws://127.0.0.1:{panel.port}/" in text, "GET / says how to connect")
+        check("200 OK" in text and f"ws://127.0.0.1:{panel.port}/" in text, "GET /connect says how to connect")
         code, _, errors = run("panel", panel.scenario, "-o", os.path.join(folder, "second"), "--port", panel.port)
         check(code == 1 and not fault_of_sentence(errors, "panel") and str(panel.port) in errors, f"a port in use: {errors.strip()}")
 
@@ -525,4 +529,5 @@ def main():
     finish()
 
 
-main()
+if __name__ == "__main__":
+    main()

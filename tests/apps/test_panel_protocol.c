@@ -145,7 +145,7 @@ static void what_the_server_offers(void **state)
     const td_mcap_channel channel[2] = {td_foxglove_channel(TD_FOXGLOVE_TRANSFORMS, "/tf"),
                                         td_foxglove_channel(TD_FOXGLOVE_LOG, "/log")};
     const panel_service service = {"Jog", "{\"type\":\"object\"}", "{}"};
-    json_t *o = read_text(panel_server_info("panel", "s-1"));
+    json_t *o = read_text(panel_server_info("panel", "s-1", 7));
     assert_string_equal(text_at(o, "op"), "serverInfo");
     assert_string_equal(text_at(o, "sessionId"), "s-1");
     assert_int_equal(json_array_size(json_object_get(o, "capabilities")), 4);

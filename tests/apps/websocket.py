@@ -109,7 +109,7 @@ class Client:
         self.answers.pop(call_id, None)
         number = self.services[service]["id"] if isinstance(service, str) else service
         self.send(2, struct.pack("<BIII", 2, number, call_id, 4) + b"json" + json.dumps(arguments).encode())
-        self.until(lambda: call_id in self.answers)
+        self.until(lambda: call_id in self.answers, 60)
         return self.answers.get(call_id, (None, "no answer"))
 
     # ---- in ----
