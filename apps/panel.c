@@ -294,7 +294,8 @@ static td_status find_machine(panel *p, td_error *error)
     if (!s->has_ground)
         return td_fail(error, TD_ERROR_DATA, "%s: a machine's scenario has a ground", s->path);
     TD_TRY(machine_model(model, s, error));
-    TD_TRY(panel_machine_new(&p->machine, &far, model, s->robot->joint_count, s->period_s, error));
+    TD_TRY(panel_machine_new(&p->machine, &far, model, s->robot->joint_count, fmax(0.5, 6 * s->period_s),
+                             error));
     p->options.machine = p->machine;
     return TD_OK;
 }
