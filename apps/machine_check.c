@@ -27,6 +27,21 @@ static void keep(machine_verdict *v, const task_run *run, int joints)
     memcpy(x->end, run->to, sizeof x->end);
 }
 
+/* On few points of its ground, which the arm's weight moves over, it may find no rest there that is quite
+ * where it stands: then the ground is laid under it. */
+static td_status stand(station **made, const scenario *s, const machine_check *c, td_error *error)
+{
+    const td_status status = station_new(made, s->robot, &s->options, &c->start, c->map, &s->ground, error);
+    if (status != TD_ERROR_CONVERGENCE) return status;
+    rehearse *r = calloc(1, sizeof *r);
+    if (!r) return td_fail(error, TD_ERROR_MEMORY, "no memory for a simulation");
+    r->scenario = *s; /* lent */
+    r->state = c->start;
+    const td_status laid = rehearse_imagine(made, r, NULL, c->map, error);
+    free(r);
+    return laid;
+}
+
 static td_status simulate(machine_verdict *v, const machine_check *c, td_error *error)
 {
     scenario s = *c->s;
@@ -34,12 +49,11 @@ static td_status simulate(machine_verdict *v, const machine_check *c, td_error *
     task_run run = {0};
     td_behaviour logic;
     task_world w = {.task_id = 1, .logic = &logic, .plan = c->plan};
-    const td_plant_state start = c->start;
     setup.task = c->task;
     s.task = &setup;
     td_behaviour_begin(&logic, NULL);
     logic.options.singularity = setup.singularity;
-    TD_TRY(station_new(&w.station, s.robot, &s.options, &start, c->map, &s.ground, error));
+    TD_TRY(stand(&w.station, &s, c, error));
     const td_status status = task_run_in(&run, &s, &w, NULL, error);
     if (status == TD_OK) keep(v, &run, s.robot->joint_count);
     if (status == TD_OK && logic.phase != TD_PHASE_SIMULATED) {

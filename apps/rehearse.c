@@ -172,9 +172,6 @@ static td_status run(rehearse *r, rehearse_setup *setup, job *j)
     if (replay_path) TD_TRY(rehearse_replay(r, setup, replay_path, &j->error));
     r->threads = common.threads;
     r->progress = &j->progress;
-    if (far.at && (replay_path || seed_count))
-        return td_fail(&j->error, TD_ERROR_ARGUMENT,
-                       "--machine goes with neither --seeds nor --replay: what is true is the machine's");
     if (far.at) TD_TRY(rehearse_far_begin(r, &far, &j->error));
     td_status status = rehearse_run(r, &j->error);
     if (status == TD_ERROR_ARGUMENT) status = TD_ERROR_DATA;
@@ -205,6 +202,9 @@ int main(int argc, char **argv)
     else if (!scenario_path)
         status = td_fail(&j.error, TD_ERROR_ARGUMENT, "REHEARSAL is missing (usage: teledimos %s %s)",
                          command.name, command.usage);
+    else if (far.at && (replay_path || seed_count))
+        status = td_fail(&j.error, TD_ERROR_ARGUMENT,
+                         "--machine goes with neither --seeds nor --replay: what is true is the machine's");
     else if (seed_count) {
         status = run_seeds(&found, &j);
     } else {
