@@ -156,6 +156,19 @@ td_status look_now(look_result *result, look *l, const td_pose *site_from_vehicl
     return status;
 }
 
+td_status look_given(look_result *result, look *l, td_image *pair[2], const td_pose *site_from_vehicle,
+                     const double *q, double time_s, td_error *error)
+{
+    *result = (look_result){0};
+    for (int side = 0; side < 2; side++) {
+        td_image_free(&l->raw[side]);
+        l->raw[side] = pair[side];
+        pair[side] = NULL;
+        result->grey[side] = mean_grey(l->raw[side]);
+    }
+    return fuse(result, l, site_from_vehicle, q, NULL, time_s, error);
+}
+
 static const double BAND_PX = 8; /* wide enough for a rig that is not rightly believed */
 
 td_status look_check(look_rig *rig, look *l, td_error *error)

@@ -37,6 +37,9 @@ void look_ground_changed(look *l, int column, int row, int columns, int rows);
  * site_from_vehicle (covariance (6,6) of site_from_rig, or NULL) with joints q. */
 td_status look_now(look_result *result, look *l, const td_pose *site_from_vehicle, const double *q,
                    const double *pose_covariance, uint64_t frame, double time_s, td_error *error);
+/* The same with a pair that somebody else took: raw images, as the cameras give them; taken over. */
+td_status look_given(look_result *result, look *l, td_image *pair[2], const td_pose *site_from_vehicle,
+                     const double *q, double time_s, td_error *error);
 /* The map so far, or since look_anew. */
 td_status look_map(td_elevation **map, const look *l, td_error *error);
 /* From the next pair on the map holds what is seen since: ground that has gone stands in no map then, as it

@@ -7,7 +7,8 @@
 #include "apps/aside.h"
 #include "apps/audit.h"
 #include "apps/machine_model.h"
-#include "apps/simulate_task.h"
+#include "apps/machine_plan.h"
+#include "apps/rehearse_internal.h"
 #include "core/machine_messages.h"
 #include "core/scene.h"
 #include "servo/dig_plan.h"
@@ -50,7 +51,8 @@ typedef struct machine_check {
     const scenario *s;
     td_task *task;
     const td_elevation *map;
-    td_plant_state start; /* as it reads */
+    td_plant_state start;    /* as it reads */
+    const td_dig_plan *plan; /* of its trench; NULL: its own */
     char model[TD_HASH_HEX_SIZE];
     aside *work;
 } machine_check;
@@ -58,8 +60,8 @@ td_status machine_check_begin(machine_check *check, td_error *error);
 /* True: it has ended, and the verdict is there. */
 bool machine_check_poll(machine_verdict *verdict, machine_check *check);
 /* Whether what another one vouches for is what was found here; else `why`. */
-bool machine_agrees(char *why, size_t size, const scenario *s, const td_machine_validation *his,
-                    const td_machine_validation *own);
+bool machine_agrees(char *why, size_t size, const scenario *s, const td_task *task,
+                    const td_machine_validation *his, const td_machine_validation *own);
 
 /* ---- the machine ---- */
 
@@ -80,6 +82,9 @@ typedef struct machine {
     terminal *term;
     audit audit;
     /* as it truly is */
+    rehearse *rehearsal; /* of what is drawn so; NULL: of the options */
+    rehearse_setup *setup;
+    td_elevation *ground; /* with a rehearsal; else the scenario's map */
     td_robot *robot_true;
     double zero[TD_ROBOT_MAX_JOINTS]; /* reading less truth */
     station *station;
@@ -96,6 +101,7 @@ typedef struct machine {
     bool in_session;     /* task_run_in turns the periods */
     /* the task */
     td_task *task;
+    td_dig_plan *plan; /* of the next one's trench; NULL: its own */
     char task_hash[TD_HASH_HEX_SIZE];
     td_machine_validation vouched;
     uint32_t task_id, tasks; /* task_id 0: none */
@@ -119,6 +125,7 @@ typedef struct machine {
     aside *look;
     double next_look_s;
     uint64_t looks;
+    int wanted; /* a pair without loss: 0: as it is now, n: of the way here; -1: none */
     /* time */
     double begun_s, tick_s; /* tick_s: when the next period is due */
     uint64_t ticks, misses;
@@ -128,7 +135,8 @@ typedef struct machine {
 } machine;
 
 /* machine_serve.c: the end of a period: shows the state, hears everyone until the next is due. */
-td_status machine_tick(machine *m, td_phase phase, td_fault fault, int step, int steps, td_error *error);
+/* `task`: under way; NULL: none. */
+td_status machine_tick(machine *m, td_phase phase, td_fault fault, const task_outside *task, td_error *error);
 bool machine_is_over(const machine *m);
 
 /* machine_links.c */
@@ -151,6 +159,14 @@ void machine_answer_orders(machine *m, const td_behaviour_outputs *out);
 td_status machine_go_on_checking(machine *m, td_error *error);
 /* One reaction of the behaviour, out of a session. */
 void machine_react(machine *m, uint32_t events);
+
+/* machine_truth.c: what is true, and nobody is told. */
+td_status machine_truth_draw(machine *m, td_error *error);
+/* The head as it truly is; with a rehearsal. */
+td_status machine_truth_rig(td_rig **rig, const machine *m, td_error *error);
+/* With a rehearsal: the ground as it was, or is by now, into the folder for the record. */
+td_status machine_truth_keep(machine *m, const char *name, td_error *error);
+void machine_truth_free(machine *m);
 
 /* machine_look.c */
 td_status machine_look_begin(machine *m, td_error *error);

@@ -1,6 +1,6 @@
-/* Images of the machine's stereo head at a low rate, rendered aside: what the head sees of the ground as it
- * truly is, and of the machine as it truly stands. They go on a link of their own, and only when the last one
- * has gone. */
+/* Images of the machine's stereo head, rendered aside: what the head sees of the ground as it truly is, and
+ * of the machine as it truly stands. They go on a link of their own, and only when the last one has gone: at
+ * a low rate, or a pair without loss when it is asked for. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -17,8 +17,9 @@ static td_status take_head(machine *m, td_error *error)
     if (m->s->ground.site[0] && !o->rig) {
         TD_TRY(td_scene_read(&m->scene_file, m->s->ground.site, error));
         m->scene = m->scene_file->scene;
-        m->rig = m->scene_file->rig;
         m->mount = m->scene_file->mount_link;
+        if (m->rehearsal) return machine_truth_rig(&m->rig, m, error);
+        m->rig = m->scene_file->rig;
         if (!m->rig->has_vehicle) m->rig->vehicle_from_rig = m->scene_file->mount_from_rig;
         return TD_OK;
     }
@@ -40,8 +41,8 @@ static td_status take_head(machine *m, td_error *error)
 
 td_status machine_look_begin(machine *m, td_error *error)
 {
-    m->mount = -1;
-    if (m->o->image_hz > 0) TD_TRY(take_head(m, error));
+    m->mount = m->wanted = -1;
+    if (m->o->image_hz > 0 || m->rehearsal) TD_TRY(take_head(m, error));
     m->next_look_s = td_machine_now_s();
     return TD_OK;
 }
@@ -49,10 +50,8 @@ td_status machine_look_begin(machine *m, td_error *error)
 void machine_look_end(machine *m)
 {
     aside_free(&m->look);
-    if (m->scene_file)
-        td_scene_free(&m->scene_file); /* and the rig with it */
-    else
-        td_rig_free(&m->rig);
+    if (!m->scene_file || m->rehearsal) td_rig_free(&m->rig); /* else it is the scene's */
+    td_scene_free(&m->scene_file);
 }
 
 /* ---- aside ---- */
@@ -65,22 +64,42 @@ typedef struct picture {
     size_t size; /* of the JPEG that follows */
 } picture;
 
-static td_status give_side(machine *m, const td_stereo_view *view, int side, const td_pose *site_from_rig,
-                           FILE *out, td_error *error)
+static td_view_options how_to_see(const machine *m)
 {
     td_view_options o = td_view_options_default();
-    td_view *seen = NULL;
-    uint8_t *jpeg = NULL;
-    picture p = {.time_s = m->state.time_s, .side = side, .site_from_vehicle = m->state.site_from_vehicle};
     o.threads = 1;
     o.samples = 1; /* a fourth of the time */
     o.gain = 1.6;
+    if (m->wanted < 0 || !m->scene_file) return o;
+    const td_scene_image *i = &m->scene_file->image;
+    o.samples = i->samples;
+    o.blur_px = i->blur_px;
+    o.vignetting = i->vignetting;
+    o.gain = i->gain;
+    o.offset = i->offset;
+    o.read_noise = i->read_noise;
+    o.shot_noise = i->shot_noise;
+    o.seed = (uint64_t)m->o->common->seed;
+    return o;
+}
+
+/* `reads`: the machine as it says that it stands. */
+static td_status give_side(machine *m, const td_stereo_view *view, int side, const td_pose *site_from_rig,
+                           const td_plant_state *reads, FILE *out, td_error *error)
+{
+    const td_view_options o = how_to_see(m);
+    td_view *seen = NULL;
+    uint8_t *jpeg = NULL;
+    picture p = {.time_s = m->state.time_s, .side = side, .site_from_vehicle = reads->site_from_vehicle};
     td_status status = td_stereo_view_render(&seen, view, m->rig, side, site_from_rig, m->looks, &o, error);
-    if (status == TD_OK) status = td_image_encode_jpeg(&jpeg, &p.size, seen->image, QUALITY, error);
+    if (status == TD_OK && m->wanted >= 0)
+        status = td_image_encode_png(&jpeg, &p.size, seen->image, error);
+    else if (status == TD_OK)
+        status = td_image_encode_jpeg(&jpeg, &p.size, seen->image, QUALITY, error);
     if (status == TD_OK) {
         p.width = seen->image->width;
         p.height = seen->image->height;
-        memcpy(p.q, m->state.q, sizeof p.q);
+        memcpy(p.q, reads->q, sizeof p.q);
         if (fwrite(&p, sizeof p, 1, out) != 1 || fwrite(jpeg, 1, p.size, out) != p.size)
             status = td_fail(error, TD_ERROR_IO, "the pipe is closed");
     }
@@ -89,14 +108,33 @@ static td_status give_side(machine *m, const td_stereo_view *view, int side, con
     return status;
 }
 
+/* Where it stands, or stood as it came, before the ground was touched. */
+static td_status stands(td_plant_state *truly, td_plant_state *reads, const td_elevation **map, machine *m,
+                        td_error *error)
+{
+    TD_TRY(station_map(map, m->station, error));
+    TD_TRY(m->plant.state(m->plant.self, truly, error));
+    *reads = m->state;
+    if (m->wanted <= 0) return TD_OK;
+    if (!m->scene_file || (size_t)m->wanted > m->scene_file->frame_count)
+        return td_fail(error, TD_ERROR_DATA, "it did not look %d times as it came", m->wanted);
+    const td_scene_frame *frame = m->scene_file->frame + m->wanted - 1;
+    *map = station_first_map(m->station);
+    truly->site_from_vehicle = reads->site_from_vehicle = frame->site_from_vehicle;
+    for (int k = 0; k < m->s->robot->joint_count; k++) {
+        reads->q[k] = frame->q[k];
+        truly->q[k] = frame->q[k] - m->zero[k];
+    }
+    return TD_OK;
+}
+
 static td_status look_around(machine *m, FILE *out, td_error *error)
 {
     const td_elevation *map = NULL;
     td_stereo_view *view = NULL;
-    td_plant_state state;
+    td_plant_state state, reads;
     td_pose root_from_link[TD_ROBOT_MAX_LINKS];
-    TD_TRY(station_map(&map, m->station, error));
-    TD_TRY(m->plant.state(m->plant.self, &state, error));
+    TD_TRY(stands(&state, &reads, &map, m, error));
     m->scene.ground = (td_elevation *)(uintptr_t)map; /* only looked at */
     m->scene.robot = m->robot_true;
     m->scene.site_from_vehicle = state.site_from_vehicle;
@@ -106,7 +144,7 @@ static td_status look_around(machine *m, FILE *out, td_error *error)
     at = td_pose_compose(&at, &m->rig->vehicle_from_rig);
     td_status status = td_stereo_view_new(&view, &m->scene, error);
     for (int side = 0; side < 2 && side < m->rig->count && status == TD_OK; side++)
-        status = give_side(m, view, side, &at, out, error);
+        status = give_side(m, view, side, &at, &reads, out, error);
     td_stereo_view_free(&view);
     return status;
 }
@@ -163,8 +201,11 @@ td_status machine_look(machine *m, td_error *error)
         aside_free(&m->look);
     }
     const double now = td_machine_now_s();
-    if (!m->rig || !m->pictures || now < m->next_look_s || td_link_unsent(m->pictures)) return TD_OK;
+    const bool asked = m->wanted >= 0, due = m->o->image_hz > 0 && now >= m->next_look_s;
+    if (!m->rig || !m->pictures || !(due || asked) || td_link_unsent(m->pictures)) return TD_OK;
     m->next_look_s = now + 1 / m->o->image_hz;
     m->looks++;
-    return aside_begin(&m->look, work, m, 10, error);
+    TD_TRY(aside_begin(&m->look, work, m, asked ? 0 : 10, error));
+    m->wanted = -1; /* it sees what was wanted as it began */
+    return TD_OK;
 }

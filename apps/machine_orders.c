@@ -67,6 +67,7 @@ static void forget_task(machine *m)
 {
     aside_free(&m->check.work);
     td_task_free(&m->task);
+    td_dig_plan_free(&m->plan);
     m->check.task = NULL;
     m->task_id = 0;
     m->to_check = false;
@@ -88,6 +89,18 @@ static bool may_take(const machine *m)
             phase == TD_PHASE_MONITORING);
 }
 
+static void take_plan(machine *m, const char *text, size_t size)
+{
+    td_error error = {0};
+    if (!may_take(m)) return; /* nor will its task be */
+    forget_task(m);
+    td_dig_plan_free(&m->plan);
+    if (machine_plan_parse(&m->plan, text, size, &error) != TD_OK)
+        audit_line(&m->audit, "refused", NULL, "%s", error.message);
+    else
+        audit_line(&m->audit, "plan", NULL, "%d moves", m->plan->move_count);
+}
+
 static void take_task(machine *m, const td_machine_task *sent)
 {
     char why[600];
@@ -100,7 +113,10 @@ static void take_task(machine *m, const td_machine_task *sent)
                        m->shown == TD_PHASE_FAILED ? "Reinit first" : "not now", td_phase_text(m->shown));
         return;
     }
+    td_dig_plan *plan = m->plan; /* came with it */
+    m->plan = NULL;
     forget_task(m);
+    m->plan = plan;
     if (td_task_parse(&m->task, sent->text, sent->size, "the task that came", &error) != TD_OK ||
         td_task_hash(m->task_hash, m->task, &error) != TD_OK) {
         refuse_task(m, error.message);
@@ -109,7 +125,7 @@ static void take_task(machine *m, const td_machine_task *sent)
     memcpy(own.task, m->task_hash, sizeof own.task);
     memcpy(own.model, m->model, sizeof own.model);
     memcpy(own.start, m->state.q, sizeof own.start);
-    if (!machine_agrees(why, sizeof why, m->s, &sent->validation, &own)) {
+    if (!machine_agrees(why, sizeof why, m->s, m->task, &sent->validation, &own)) {
         refuse_task(m, why);
         return;
     }
@@ -127,6 +143,12 @@ void machine_take_message(machine *m, const td_machine_message *message)
     case TD_MACHINE_ORDER:
         audit_line(&m->audit, "order", NULL, "%s", td_machine_order_name(message->as.order));
         m->asked |= ORDER_BIT(message->as.order);
+        break;
+    case TD_MACHINE_LOOK:
+        m->wanted = message->as.look;
+        break;
+    case TD_MACHINE_PLAN:
+        take_plan(m, message->as.plan.text, message->as.plan.size);
         break;
     case TD_MACHINE_JOINTS:
         if (message->as.joints.joints != m->s->robot->joint_count) {
@@ -151,7 +173,7 @@ static td_status begin_check(machine *m, td_error *error)
     const td_elevation *map = NULL;
     TD_TRY(station_map(&map, m->station, error));
     m->to_check = false;
-    m->check = (machine_check){.s = m->s, .task = m->task, .map = map, .start = m->state};
+    m->check = (machine_check){.s = m->s, .task = m->task, .map = map, .start = m->state, .plan = m->plan};
     memcpy(m->check.model, m->model, sizeof m->check.model);
     return machine_check_begin(&m->check, error);
 }
@@ -159,7 +181,8 @@ static td_status begin_check(machine *m, td_error *error)
 static void judge(machine *m, const machine_verdict *v)
 {
     char why[600];
-    const bool agrees = !v->why[0] && machine_agrees(why, sizeof why, m->s, &m->vouched, &v->validation);
+    const bool agrees =
+        !v->why[0] && machine_agrees(why, sizeof why, m->s, m->task, &m->vouched, &v->validation);
     if (!agrees) {
         machine_react(m, TD_EVENT_BIT(TD_EVENT_ABORT));
         refuse_task(m, v->why[0] ? v->why : why);

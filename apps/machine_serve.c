@@ -5,8 +5,8 @@
 #include <string.h>
 
 #include "apps/machine_internal.h"
+#include "core/document.h"
 #include "core/file.h"
-#include "core/random.h"
 
 static const double AT_REST = 2e-3;     /* rad/s or m/s of each joint, and of the base */
 static const double WISH_PERIODS = 3;   /* a joint command holds so long */
@@ -37,16 +37,23 @@ static td_machine_mode mode_of(td_phase phase)
     }
 }
 
-static void show_state(machine *m, td_phase phase, td_fault fault, int step, int steps)
+static void show_state(machine *m, td_phase phase, td_fault fault, const task_outside *task)
 {
     td_machine_message message = {.kind = TD_MACHINE_STATE};
     td_machine_state_message *s = &message.as.state;
+    *s = (td_machine_state_message){.motion = -1, .dig_phase = -1, .loose = true, .share = 1};
     s->mode = mode_of(phase);
     snprintf(s->phase, sizeof s->phase, "%s", td_phase_text(phase));
     if (fault) snprintf(s->fault, sizeof s->fault, "%s", td_fault_text(fault));
     if (m->task_id) snprintf(s->task, sizeof s->task, "%.8s", m->task_hash);
-    s->step = step < 0 ? 0 : step;
-    s->steps = steps;
+    if (task) {
+        s->step = task->step < 0 ? 0 : task->step;
+        s->steps = task->steps;
+        s->motion = task->motion;
+        s->dig_phase = task->dig_phase;
+        s->share = task->share;
+        s->loose = task->loose;
+    }
     s->joints = m->s->robot->joint_count;
     s->plant = m->state;
     machine_tell(m, &message, true);
@@ -115,11 +122,11 @@ static void watch_stop(machine *m)
 
 /* ---- time ---- */
 
-td_status machine_tick(machine *m, td_phase phase, td_fault fault, int step, int steps, td_error *error)
+td_status machine_tick(machine *m, td_phase phase, td_fault fault, const task_outside *task, td_error *error)
 {
     show_phase(m, phase, fault);
     watch_stop(m);
-    show_state(m, phase, fault, step, steps);
+    show_state(m, phase, fault, task);
     m->ticks++;
     m->tick_s += m->s->period_s;
     double left = m->tick_s - td_machine_now_s();
@@ -153,7 +160,7 @@ static td_status outside(void *user, task_outside *o, td_error *error)
     machine_answer_orders(m, o->last);
     if (o->phase == TD_PHASE_FAILED && is_moving_phase(m->shown) && !m->stop.under_way)
         begin_stop(m, 0, td_fault_text(o->fault));
-    TD_TRY(machine_tick(m, o->phase, o->fault, o->step, o->steps, error));
+    TD_TRY(machine_tick(m, o->phase, o->fault, o, error));
     o->links_open = m->master != NULL;
     o->events = machine_orders(m);
     if (o->phase == TD_PHASE_FAILED) m->ends = false; /* a farewell is no Reinit */
@@ -187,6 +194,7 @@ static td_status execute(machine *m, td_error *error)
                     .zero = m->zero,
                     .task_id = m->task_id,
                     .logic = &m->logic,
+                    .plan = m->plan,
                     .outside = outside,
                     .user = m};
     setup.task = m->task;
@@ -255,7 +263,7 @@ static uint32_t gather(machine *m)
 static td_status one_period(machine *m, td_error *error)
 {
     const td_phase before = m->logic.phase;
-    TD_TRY(machine_tick(m, before, m->logic.fault, 0, 0, error));
+    TD_TRY(machine_tick(m, before, m->logic.fault, NULL, error));
     const uint32_t events = gather(m);
     if ((events & TD_EVENT_BIT(TD_EVENT_EXECUTE)) && before == TD_PHASE_DOWNLOADED && m->master)
         return execute(m, error);
@@ -280,31 +288,17 @@ static td_status run(machine *m, td_error *error)
 
 /* ---- begun and ended ---- */
 
-/* Masses and joint zeros that nobody is told. */
-static td_status draw_truth(machine *m, td_error *error)
-{
-    td_random random = td_random_seed((uint64_t)m->o->common->seed, 0);
-    TD_TRY(td_robot_read(&m->robot_true, m->s->robot_path, error));
-    for (int i = 0; i < m->robot_true->link_count; i++) {
-        const double times = fmax(0.3, 1 + m->o->mass_sigma * td_random_normal(&random));
-        m->robot_true->link[i].mass_kg *= times;
-        for (int k = 0; k < 9; k++) m->robot_true->link[i].inertia[k] *= times;
-    }
-    for (int k = 0; k < m->robot_true->joint_count; k++)
-        m->zero[k] = m->o->zero_sigma_deg * 0.017453292519943295 * td_random_normal(&random);
-    return TD_OK;
-}
-
 static td_status begin(machine *m, td_error *error)
 {
     const scenario *s = m->s;
     td_plant_state start = s->start;
     td_behaviour_options logic = td_behaviour_options_default();
     td_motion_limits limits = td_motion_limits_default();
-    TD_TRY(draw_truth(m, error));
+    TD_TRY(machine_truth_draw(m, error));
     for (int k = 0; k < s->robot->joint_count; k++)
         start.q[k] = fmax(s->robot->joint[k].lower, fmin(s->robot->joint[k].upper, start.q[k] - m->zero[k]));
-    TD_TRY(station_new(&m->station, m->robot_true, &s->options, &start, s->map, &s->ground, error));
+    TD_TRY(station_new(&m->station, m->robot_true, &s->options, &start, m->ground ? m->ground : s->map,
+                       m->rehearsal ? &m->rehearsal->truth.ground : &s->ground, error));
     m->plant = station_plant(m->station);
     TD_TRY(read_state(m, error));
     limits.period_s = s->period_s;
@@ -318,6 +312,7 @@ static td_status begin(machine *m, td_error *error)
     m->stop.found.took_s = -1;
     m->wish_s = NAN;
     TD_TRY(machine_model(m->model, s, error));
+    TD_TRY(machine_truth_keep(m, "truth-before.tif", error));
     TD_TRY(machine_look_begin(m, error));
     TD_TRY(machine_links_open(m, error));
     m->begun_s = m->tick_s = td_machine_now_s();
@@ -343,8 +338,9 @@ static void end(machine *m, td_status status, const td_error *error)
     machine_look_end(m);
     aside_free(&m->check.work);
     td_task_free(&m->task);
+    (void)machine_truth_keep(m, "truth-after.tif", NULL);
     station_free(&m->station);
-    td_robot_free(&m->robot_true);
+    machine_truth_free(m);
     audit_close(&m->audit);
 }
 
@@ -357,6 +353,21 @@ static td_status open_audit(machine *m, td_error *error)
     return audit_open(&m->audit, path, error);
 }
 
+/* A scenario, or a rehearsal, of whose truth it is. */
+static td_status read_there(machine *m, const td_progress *progress, td_error *error)
+{
+    json_t *root = NULL;
+    TD_TRY(td_document_read(&root, m->o->scenario, error));
+    const char *kind = json_string_value(json_object_get(root, "teledimos"));
+    const bool rehearsal = kind && strncmp(kind, "rehearsal", 9) == 0;
+    json_decref(root);
+    if (!rehearsal) return machine_read(m->s, m->o, m->o->scenario, progress, error);
+    m->setup = calloc(1, sizeof *m->setup);
+    m->rehearsal = calloc(1, sizeof *m->rehearsal);
+    if (!m->setup || !m->rehearsal) return td_fail(error, TD_ERROR_MEMORY, "no memory for a rehearsal");
+    return rehearse_read(m->setup, m->s, m->o->scenario, error);
+}
+
 td_status machine_serve(const machine_options *o, terminal *term, td_error *error)
 {
     scenario s = {0};
@@ -366,7 +377,7 @@ td_status machine_serve(const machine_options *o, terminal *term, td_error *erro
     m->o = o;
     m->s = &s;
     m->term = term;
-    td_status status = machine_read(&s, o, o->scenario, &progress, error);
+    td_status status = read_there(m, &progress, error);
     if (status == TD_OK) status = open_audit(m, error);
     if (status == TD_OK) status = begin(m, error);
     if (status == TD_OK) status = run(m, error);

@@ -92,15 +92,28 @@ static cli_command command = {
         "of "
         "its own, four in all, in a process of its own; what is left on the disk is for who holds "
         "control.\n\n"
+        "--machine: the master station of a machine in a process of its own (teledimos machine). Download "
+        "sends the task that was simulated and validated here, with its hash and results, and the machine "
+        "checks it by its own simulation; Execute has it done there, while the simulated machine goes with "
+        "it. Pause, Resume, Abort, UserStop, Reinit, Manual, Automatic and Jog reach the machine. "
+        "/measured/tf, /measured/joints and /measured/machine show it as it measures itself, /link its phase "
+        "and the link's figures, /camera/left and /camera/right what it sees. A panel that is lost stops the "
+        "machine; begun again it shows where and why it stands, and moves it after Reinit.\n\n"
         "SIGINT and SIGTERM stop the machine and end the recording. teledimos simulate SCENARIO --replay "
         "DIR/recording.mcap does the session again, unless parameters were changed. On a busy machine "
         "real-time priority keeps the ticks (chrt -f 10 teledimos panel …).\n\n"
         "Exit status: 0 done, 1 failed, 2 wrong usage, 3 the simulation broke off.",
-    .examples = "  teledimos panel datasets/zx200/paper.yaml -o panel\n"
-                "  teledimos panel datasets/zx200/paper.yaml -o panel --origin https://app.foxglove.dev\n"
-                "  teledimos panel datasets/zx200/dig.yaml -o panel --port 0 --for 60\n"
-                "  teledimos panel datasets/zx200/paper.yaml -o panel --bench datasets/visp-marks --bench "
-                "datasets/aloe\n",
+    .examples =
+        "  teledimos panel datasets/zx200/paper.yaml -o panel\n"
+        "  teledimos panel datasets/zx200/paper.yaml -o panel --origin https://app.foxglove.dev\n"
+        "  teledimos panel datasets/zx200/dig.yaml -o panel --port 0 --for 60\n"
+        "  openssl rand -hex 32 >token; chmod 600 token\n"
+        "  teledimos machine datasets/zx200/dig.yaml --listen 127.0.0.1:7421 --token-file token -o site "
+        "--for 90 & sleep 3\n"
+        "  teledimos panel datasets/zx200/dig.yaml -o panel --port 0 --for 20 --machine 127.0.0.1:7421 "
+        "--machine-token-file token\n"
+        "  teledimos panel datasets/zx200/paper.yaml -o panel --bench datasets/visp-marks --bench "
+        "datasets/aloe\n",
     .option = options,
     .option_count = sizeof options / sizeof *options,
     .least = 0,
@@ -323,7 +336,8 @@ static td_status find_machine(panel *p, td_error *error)
     if (!s->has_ground)
         return td_fail(error, TD_ERROR_DATA, "%s: a machine's scenario has a ground", s->path);
     TD_TRY(machine_model(model, s, error));
-    TD_TRY(panel_machine_new(&p->machine, &far, model, s->robot->joint_count, s->period_s, error));
+    TD_TRY(panel_machine_new(&p->machine, &far, model, s->robot->joint_count, fmax(0.5, 6 * s->period_s),
+                             error));
     p->options.machine = p->machine;
     return TD_OK;
 }

@@ -128,9 +128,10 @@ static void tell_picture(panel_feed *f, const panel_picture *p)
     char *json = NULL;
     size_t size = 0;
     f->image_s = p->heard_s;
-    const td_status made = td_foxglove_image(&json, &size, p->jpeg, p->size, "jpeg",
-                                             p->side ? "camera/right" : "camera/left", f->hub.time_ns, NULL);
-    give(f, p->side ? PANEL_RIGHT : PANEL_LEFT, made, json, size);
+    const td_status made = td_foxglove_image(
+        &json, &size, p->image.jpeg, p->image.size, p->image.jpeg[0] == 0x89 ? "png" : "jpeg",
+        p->image.side ? "camera/right" : "camera/left", f->hub.time_ns, NULL);
+    give(f, p->image.side ? PANEL_RIGHT : PANEL_LEFT, made, json, size);
 }
 
 void panel_feed_machine_take(panel_feed *f)

@@ -1,9 +1,9 @@
 #include "apps/panel_machine.h"
 
-#include <math.h>
 #include <openssl/crypto.h>
 #include <poll.h>
 #include <pthread.h>
+#include <sched.h>
 #include <signal.h>
 #include <stdarg.h>
 #include <stdatomic.h>
@@ -12,7 +12,6 @@
 #include <string.h>
 
 static const double LOOK_S = 0.004, AGAIN_S = 0.5, TELL_S = 0.25, FAREWELL_S = 0.5;
-static const double SILENT_S = 0.5, SILENT_PERIODS = 6; /* of a session whose machine works */
 enum { STATES = 4, LINES = 64, SAID = 256, PICTURES = 4 };
 
 /* Things go one way, and the room they took comes back. */
@@ -26,7 +25,7 @@ struct panel_machine {
     td_link_options options;
     char at[300], authority[1100], model[TD_HASH_HEX_SIZE];
     int joints;
-    double period_s;
+    double silent_s;
     void (*wake)(void *user);
     void *user;
     /* between the threads */
@@ -54,7 +53,7 @@ static void release_said(void *thing)
 
 static void release_picture(void *thing)
 {
-    free(((panel_picture *)thing)->jpeg);
+    free(((panel_picture *)thing)->bytes);
     free(thing);
 }
 
@@ -225,13 +224,14 @@ static void keep_picture(panel_machine *m, const td_machine_image *image, double
 {
     panel_picture *p = lane_fresh(&m->pictures, sizeof *p);
     if (!p) return;
-    uint8_t *jpeg = realloc(p->jpeg, image->size + 1);
-    if (!jpeg) {
+    uint8_t *bytes = realloc(p->bytes, image->size + 1);
+    if (!bytes) {
         release_picture(p);
         return;
     }
-    memcpy(jpeg, image->jpeg, image->size);
-    *p = (panel_picture){.side = image->side, .heard_s = now_s, .size = image->size, .jpeg = jpeg};
+    memcpy(bytes, image->jpeg, image->size);
+    *p = (panel_picture){.image = *image, .heard_s = now_s, .bytes = bytes};
+    p->image.jpeg = bytes;
     (void)panel_ring_put(&m->pictures.there, p);
     m->wake(m->user);
 }
@@ -259,6 +259,11 @@ static void send(panel_machine *m, const panel_said *s)
         message.as.task =
             (td_machine_task){.validation = s->validation, .text = s->text, .size = strlen(s->text)};
         report_text(m, PANEL_TOLD, "task %s", s->validation.task);
+    } else if (s->kind == TD_MACHINE_PLAN) {
+        message.as.plan.text = s->text;
+        message.as.plan.size = strlen(s->text);
+    } else if (s->kind == TD_MACHINE_LOOK) {
+        message.as.look = s->look;
     } else if (s->kind == TD_MACHINE_ORDER) {
         message.as.order = s->order;
         report_text(m, PANEL_TOLD, "%s", td_machine_order_name(s->order));
@@ -289,7 +294,7 @@ static void watch_session(panel_machine *m, double now_s)
         m->beat_s = now_s;
         m->silenced = false;
     }
-    if (m->silenced || now_s < m->beat_s + fmax(SILENT_S, SILENT_PERIODS * m->period_s)) return;
+    if (m->silenced || now_s < m->beat_s + m->silent_s) return;
     m->silenced = true;
     report_text(m, PANEL_TOLD, "the session does not go on: the machine is stopped");
     send(m, &stop);
@@ -325,7 +330,10 @@ static void say_farewell(panel_machine *m)
 
 static void *serve(void *user)
 {
+    static const struct sched_param soon = {.sched_priority = 10};
     panel_machine *m = user;
+    /* Where it may: the heart beats before anything that computes. */
+    (void)pthread_setschedparam(pthread_self(), SCHED_FIFO, &soon);
     while (!atomic_load(&m->stop)) {
         const double now = td_machine_now_s();
         connect_again(m, now);
@@ -344,7 +352,7 @@ static void *serve(void *user)
 /* ---- from the start to the end ---- */
 
 td_status panel_machine_new(panel_machine **machine, const machine_address *address, const char *model,
-                            int joints, double period_s, td_error *error)
+                            int joints, double silent_s, td_error *error)
 {
     panel_machine *m = *machine = calloc(1, sizeof *m);
     if (!m || !lane_begin(&m->states, STATES, free) || !lane_begin(&m->heard, LINES, free) ||
@@ -360,7 +368,7 @@ td_status panel_machine_new(panel_machine **machine, const machine_address *addr
         m->options.authority = m->authority;
     }
     m->joints = joints;
-    m->period_s = period_s;
+    m->silent_s = silent_s;
     atomic_init(&m->stop, false);
     atomic_init(&m->beats, 0);
     return TD_OK;

@@ -41,25 +41,26 @@ typedef struct panel_heard {
 
 typedef struct panel_said {
     panel_numbered head;
-    td_machine_kind kind; /* TASK, ORDER, JOINTS */
+    td_machine_kind kind; /* TASK, ORDER, JOINTS, LOOK, PLAN */
+    int look;
     td_machine_order order;
     td_plant_command command;
     td_machine_validation validation;
-    char *text; /* of the task; owned */
+    char *text; /* of the task, or the plan; owned */
 } panel_said;
 
 typedef struct panel_picture {
     panel_numbered head;
-    int side;
+    td_machine_image image; /* its bytes lie in: */
     double heard_s;
-    size_t size;
-    uint8_t *jpeg; /* owned */
+    uint8_t *bytes; /* owned */
 } panel_picture;
 
 typedef struct panel_machine panel_machine;
-/* `model`: of the machine that is expected. Everything is copied; nothing begins. */
+/* `model`: of the machine that is expected. `silent_s`: a session that does not beat for so long while the
+ * machine works has it stopped. Everything is copied; nothing begins. */
 td_status panel_machine_new(panel_machine **machine, const machine_address *address, const char *model,
-                            int joints, double period_s, td_error *error);
+                            int joints, double silent_s, td_error *error);
 /* `wake`: the server, whenever there is something for it. */
 td_status panel_machine_start(panel_machine *machine, void (*wake)(void *user), void *user, td_error *error);
 /* What was said goes out first, for a moment; then farewell. */

@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "apps/machine_address.h"
 #include "apps/rehearse_seeds.h"
 #include "core/file.h"
 #include "core/number.h"
@@ -12,6 +13,7 @@ static cli_common common;
 static cli_list gates, covariances;
 static bool accept;
 static int seed_count = 0;
+static machine_address far = {.period_s = 0.1};
 
 static cli_option options[] = {
     {CLI_INT, "seeds", 0, &seed_count, "N",
@@ -25,6 +27,8 @@ static cli_option options[] = {
     {CLI_STRING, "replay", 0, &replay_path, "MCAP",
      "an earlier recording.mcap of the same rehearsal: its seed and covariance, so the same bytes", 0, 0,
      NULL},
+    {.type = CLI_HEADING, .name = "A machine elsewhere"},
+    MACHINE_ADDRESS_OPTIONS(far),
     {.type = CLI_HEADING, .name = "The quality gate"},
     {CLI_LIST, "gate", 0, &gates, "KEY=VALUE", NULL, 0, 0, NULL},
     {CLI_FLAG, "accept", 0, &accept, NULL, "end with status 0 even when the gate refuses", 0, 0, NULL},
@@ -73,6 +77,10 @@ static cli_command command = {
         "the "
         "calibration's. recording.mcap holds all that was executed; with --replay it gives the same bytes of "
         "all products but result.yaml, report.html and log.jsonl, which tell computing times.\n\n"
+        "--machine: what looks and digs is a machine in a process of its own (teledimos machine REHEARSAL "
+        "--listen …), in real time. Its images come over the link, tasks go with the plan that was "
+        "simulated, "
+        "and its new ground is known by what it sees alone; figures of the truth are null.\n\n"
         "Exit status: 0 done, 1 failed, 2 wrong usage, 3 the gate refuses the result (--accept).",
     .examples =
         "  teledimos rehearse datasets/zx200/trench.yaml -o rehearsed\n"
@@ -166,6 +174,7 @@ static td_status run(rehearse *r, rehearse_setup *setup, job *j)
     if (replay_path) TD_TRY(rehearse_replay(r, setup, replay_path, &j->error));
     r->threads = common.threads;
     r->progress = &j->progress;
+    if (far.at) TD_TRY(rehearse_far_begin(r, &far, &j->error));
     td_status status = rehearse_run(r, &j->error);
     if (status == TD_ERROR_ARGUMENT) status = TD_ERROR_DATA;
     TD_TRY(status);
@@ -195,6 +204,9 @@ int main(int argc, char **argv)
     else if (!scenario_path)
         status = td_fail(&j.error, TD_ERROR_ARGUMENT, "REHEARSAL is missing (usage: teledimos %s %s)",
                          command.name, command.usage);
+    else if (far.at && (replay_path || seed_count))
+        status = td_fail(&j.error, TD_ERROR_ARGUMENT,
+                         "--machine goes with neither --seeds nor --replay: what is true is the machine's");
     else if (seed_count) {
         status = run_seeds(&found, &j);
     } else {

@@ -167,7 +167,7 @@ td_status rehearse_compare(rehearse *r, td_error *error)
     td_elevation *seen = NULL;
     const td_elevation *predicted = NULL;
     double area = 0;
-    compare_map(r);
+    if (r->true_after) compare_map(r);
     r->volume = (td_volume){.cut_m3 = NAN, .sigma_cut_m3 = NAN};
     for (int i = 0; i < r->round_count; i++) {
         rehearse_round *round = r->round + i;
@@ -175,10 +175,10 @@ td_status rehearse_compare(rehearse *r, td_error *error)
         round->predicted_m3 = cut_between(r->map_before, round->ahead.after, NULL, &r->floor);
         predicted = i < r->looked ? round->ahead.after : NULL; /* not looked at: nothing is measured */
         r->predicted_m3 = round->predicted_m3;
-        compare_tip(r, round);
+        if (r->true_after) compare_tip(r, round);
     }
     if (!(r->planned_m3 > 0)) return TD_OK;
-    r->dug_m3 = cut_between(r->true_before, r->true_after, NULL, &r->floor);
+    r->dug_m3 = r->true_after ? cut_between(r->true_before, r->true_after, NULL, &r->floor) : NAN;
     r->volume.cut_m3 = r->sigma_volume_m3 = r->seen_share = r->dug_seen_m3 = NAN;
     r->unseen_m2 = r->predicted_unseen_m3 = r->measured_m3 = r->sigma_measured_m3 = NAN;
     if (!predicted) return TD_OK;
@@ -187,7 +187,7 @@ td_status rehearse_compare(rehearse *r, td_error *error)
     o.polygon_count = 4;
     TD_TRY(seen_only(&seen, &r->unseen_m2, &area, r, error));
     r->seen_share = 1 - r->unseen_m2 / fmax(area, 1e-9);
-    r->dug_seen_m3 = cut_between(r->true_before, r->true_after, seen, &r->floor);
+    if (r->true_after) r->dug_seen_m3 = cut_between(r->true_before, r->true_after, seen, &r->floor);
     r->predicted_unseen_m3 = r->predicted_m3 - cut_between(r->map_before, predicted, seen, &r->floor);
     const td_status status = td_volume_between(&r->volume, NULL, r->map_before, seen, &o, &why);
     if (status == TD_ERROR_MEMORY) td_elevation_free(&seen);

@@ -118,8 +118,9 @@ typedef struct rehearse {
     double scatter_m; /* of ground as it was predicted, against what was then seen of it */
     td_image *film[REHEARSE_MAX_FILM];
     int film_count;
-    station *station;     /* the machine as it truly is */
-    td_plant_state state; /* as it reads */
+    station *station;         /* the machine as it truly is; NULL: it is elsewhere, */
+    struct rehearse_far *far; /* at the other end of this link */
+    td_plant_state state;     /* as it reads */
     td_elevation *map, *map_before;
     td_elevation *true_before, *true_after;
     td_behaviour logic;
@@ -157,6 +158,18 @@ void rehearse_free(rehearse *r);
 td_status rehearse_look_first(rehearse *r, td_error *error);
 /* Through the arm's poses, each a task of its own; with what has been dug. */
 td_status rehearse_look_again(rehearse *r, td_error *error);
+
+/* rehearse_far.c: the machine elsewhere, whose truth nobody is told. */
+struct machine_address;
+td_status rehearse_far_begin(rehearse *r, const struct machine_address *address, td_error *error);
+void rehearse_far_free(rehearse *r);
+/* A pair as it is now (frame -1), or the one that was taken in a frame of the scene as the machine came; with
+ * where the machine says it stood. Stops the loop where none comes. */
+td_status rehearse_far_look(rehearse *r, int frame, td_image *pair[2], td_pose *site_from_vehicle, double *q,
+                            td_error *error);
+/* Sends the task with what came of it ahead, has it executed and watches it. */
+td_status rehearse_far_execute(task_run *run, rehearse *r, const scenario *s, const task_run *ahead,
+                               task_world *w, td_error *error);
 
 /* What the cameras see of stones: the scene's ground, raised over them where they lie. */
 void rehearse_show_stones(rehearse *r);

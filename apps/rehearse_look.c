@@ -67,6 +67,27 @@ static td_status check_rig(rehearse *r, td_error *error)
     return TD_OK;
 }
 
+/* A pair of the machine elsewhere; `frame`: of the scene, -1: as it is now. */
+static td_status one_there(rehearse *r, int frame, bool first, td_error *error)
+{
+    look_result seen;
+    td_image *pair[2] = {NULL, NULL};
+    td_pose site_from_vehicle;
+    double q[TD_ROBOT_MAX_JOINTS] = {0};
+    if (r->stopped) return TD_OK;
+    r->looks++;
+    if (!td_progress_report(r->progress, "looking", (size_t)r->looks, (size_t)r->looks + 1))
+        return td_fail(error, TD_ERROR_CANCELLED, "interrupted");
+    TD_TRY(rehearse_far_look(r, frame, pair, &site_from_vehicle, q, error));
+    if (r->stopped) return TD_OK;
+    TD_TRY(look_given(&seen, r->look, pair, &site_from_vehicle, q, (double)r->looks, error));
+    r->look_s += seen.match_s + seen.fuse_s;
+    judge(r, &seen);
+    if (!first) return TD_OK;
+    keep(r);
+    return r->stopped ? TD_OK : check_rig(r, error);
+}
+
 static td_status one(rehearse *r, const td_pose *site_from_vehicle, const double *q, bool first,
                      td_error *error)
 {
@@ -125,7 +146,8 @@ td_status rehearse_look_first(rehearse *r, td_error *error)
     td_scene_pose(r->scene, (size_t)r->setup->first, &unused);
     TD_TRY(make_look(r, error));
     for (int i = r->setup->first; i <= last && !r->stopped; i++)
-        TD_TRY(one(r, &r->scene->frame[i].site_from_vehicle, r->scene->frame[i].q, true, error));
+        TD_TRY(r->far ? one_there(r, i, true, error)
+                      : one(r, &r->scene->frame[i].site_from_vehicle, r->scene->frame[i].q, true, error));
     return r->stopped ? TD_OK : take_map(r, error);
 }
 
@@ -308,9 +330,10 @@ td_status rehearse_look_again(rehearse *r, td_error *error)
     for (int i = 0; i < r->setup->pose_count && !r->stopped; i++) {
         TD_TRY(rehearse_move(r, r->setup->pose[i], error));
         if (r->stopped) return TD_OK;
-        TD_TRY(change_ground(r, error));
+        if (!r->far) TD_TRY(change_ground(r, error));
         for (int k = 0; k < r->setup->frames && !r->stopped; k++)
-            TD_TRY(one(r, &r->state.site_from_vehicle, r->state.q, k == 0, error));
+            TD_TRY(r->far ? one_there(r, -1, k == 0, error)
+                          : one(r, &r->state.site_from_vehicle, r->state.q, k == 0, error));
     }
     return r->stopped ? TD_OK : take_map_again(r, error);
 }

@@ -20,6 +20,7 @@ void rehearse_free(rehearse *r)
     }
     for (size_t i = 0; i < r->part_count; i++) task_run_free(&r->part[i].own);
     for (int i = 0; i < r->film_count; i++) td_image_free(r->film + i);
+    rehearse_far_free(r);
     look_free(&r->look);
     station_free(&r->station);
     rehearse_draw_free(&r->truth);
@@ -48,12 +49,18 @@ static td_status read_world(rehearse *r, td_error *error)
         return td_fail(error, TD_ERROR_DATA, "%s: its robot is not that of %s", r->scenario.ground.site,
                        r->scenario.path);
     TD_TRY(td_rig_read(&r->rig, r->setup->rig_path, error));
-    TD_TRY(rehearse_draw_make(&r->truth, r, 0, error));
-    TD_TRY(td_elevation_copy(&r->true_before, r->scene->scene.ground, error));
-    rehearse_show_stones(r);
+    if (!r->far) {
+        TD_TRY(rehearse_draw_make(&r->truth, r, 0, error));
+        TD_TRY(td_elevation_copy(&r->true_before, r->scene->scene.ground, error));
+        rehearse_show_stones(r);
+    }
     const size_t n = td_rig_parameter_count(r->rig);
     for (size_t i = 0; r->rig->covariance && i < n * n; i++)
         r->rig->covariance[i] *= r->setup->truth.rig_covariance;
+    if (r->far) { /* nothing is rendered by it */
+        r->rig_true = td_rig_copy(r->rig);
+        return r->rig_true ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for a rig");
+    }
     const td_status status = td_rig_draw(&r->rig_true, r->rig, r->setup->truth.rig_sigma, &random, error);
     return status == TD_OK ? status : td_error_prefix(error, TD_ERROR_DATA, "%s", r->setup->rig_path);
 }
@@ -116,11 +123,13 @@ td_status rehearse_run(rehearse *r, td_error *error)
     TD_TRY(rehearse_look_first(r, error));
     if (r->stopped) return TD_OK;
     TD_TRY(td_elevation_copy(&r->map_before, r->map, error));
-    TD_TRY(arrive(r, error));
+    if (!r->far) TD_TRY(arrive(r, error));
     while (again && !r->stopped) TD_TRY(go_round(&again, r, error));
     rehearse_keep(r, NULL, false, "%s%s", r->stopped ? "stopped: " : "at its end", r->stopped ? r->why : "");
-    TD_TRY(station_map(&now, r->station, error));
-    TD_TRY(td_elevation_copy(&r->true_after, now, error));
-    r->mass_error_kg = station_mass_error(r->station);
+    if (!r->far) {
+        TD_TRY(station_map(&now, r->station, error));
+        TD_TRY(td_elevation_copy(&r->true_after, now, error));
+        r->mass_error_kg = station_mass_error(r->station);
+    }
     return rehearse_compare(r, error);
 }

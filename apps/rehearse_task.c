@@ -25,12 +25,15 @@ void rehearse_stop(rehearse *r, const char *format, ...)
 void rehearse_order(rehearse *r, td_event event, uint32_t task_id)
 {
     td_behaviour_outputs out;
-    const td_behaviour_inputs in = {
-        .events = TD_EVENT_BIT(event),
-        .links_open = true,
-        .parameters_read = true,
-        .task = task_id,
-        .machine_task = event >= TD_EVENT_EXECUTE || event == TD_EVENT_DOWNLOADED ? task_id : 0};
+    const td_behaviour_inputs in = {.events = TD_EVENT_BIT(event),
+                                    .links_open = true,
+                                    .parameters_read = true,
+                                    .task = task_id,
+                                    .machine_task = event >= TD_EVENT_EXECUTE ||
+                                                            event == TD_EVENT_DOWNLOADED ||
+                                                            r->logic.phase == TD_PHASE_EXECUTING
+                                                        ? task_id
+                                                        : 0};
     td_behaviour_react(&r->logic, &in, &out);
 }
 
@@ -180,6 +183,7 @@ static td_status execute(task_run *run, rehearse *r, const scenario *s, const td
     TD_TRY(identify(&w->task_id, s->task->task, map, r->state.q, error));
     hand_over(r, ahead, w->task_id);
     if (r->stopped) return TD_OK;
+    if (r->far) return rehearse_far_execute(run, r, s, ahead, w, error);
     TD_TRY(station_believe(r->station, map, r->sigma_q, error));
     w->station = r->station;
     w->zero = r->truth.zero;

@@ -258,6 +258,10 @@ static td_status look_outside(session *x, uint32_t *events, td_error *error)
                       .fault = x->logic.fault,
                       .step = x->step,
                       .steps = x->steps,
+                      .motion = x->motions - 1,
+                      .dig_phase = session_dig_phase(x),
+                      .share = session_share(x),
+                      .loose = session_is_loose(x),
                       .last = &x->out};
     TD_TRY(w->outside(w->user, &o, error));
     x->links_open = o.links_open;

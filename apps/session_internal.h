@@ -83,6 +83,8 @@ td_status session_note(session *x, note_kind kind, const char *name, const char 
 td_status session_report(session *x, td_event event, const char *text, td_error *error);
 td_pose session_tool(const session *x, const double *q, const td_pose *base);
 td_status session_sample(session *x, td_error *error);
+double session_share(const session *x); /* of the motion's length */
+bool session_is_loose(const session *x);
 void session_keep_steady(session *x);
 /* The ground as it is now, for the recording. */
 td_status session_keep_ground(session *x, td_error *error);

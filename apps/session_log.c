@@ -53,6 +53,17 @@ static td_status watch(session *x, const task_sample *a, td_error *error)
     return deviates ? session_report(x, TD_EVENT_DEVIATION, why, error) : TD_OK;
 }
 
+double session_share(const session *x)
+{
+    return x->motion ? fmin(1, x->along_s / fmax(1e-9, td_trajectory_duration(x->motion))) : 1;
+}
+
+bool session_is_loose(const session *x)
+{
+    return session_cuts(x) || !x->step_begun || !(x->step < x->steps) ||
+           (x->step >= 0 && x->setup->task->step[x->step].kind == TD_TASK_DRIVE);
+}
+
 td_status session_sample(session *x, td_error *error)
 {
     task_run *r = x->run;
@@ -78,7 +89,7 @@ td_status session_sample(session *x, td_error *error)
     a->pitch_wanted_rad = task_pitch(&a->tool_wanted);
     a->pitch_rad = task_pitch(&a->tool);
     a->motion = x->motions - 1;
-    a->share = x->motion ? fmin(1, x->along_s / fmax(1e-9, td_trajectory_duration(x->motion))) : 1;
+    a->share = session_share(x);
     a->dig_phase = session_dig_phase(x);
     a->tool_true = a->tool;
     if (x->world && x->world->zero) {
@@ -90,8 +101,7 @@ td_status session_sample(session *x, td_error *error)
                           x->step < x->steps && x->step_begun &&
                           x->setup->task->step[x->step].kind == TD_TASK_PRESS;
     a->press_n = pressing ? x->press.force_n : NAN;
-    a->loose = session_cuts(x) || !x->step_begun || !(x->step < x->steps) ||
-               (x->step >= 0 && x->setup->task->step[x->step].kind == TD_TASK_DRIVE);
+    a->loose = session_is_loose(x);
     if (x->machine) {
         double force[3];
         td_machine_contact_force(force, x->machine);

@@ -136,7 +136,9 @@ typedef struct task_outside {
     const td_plant_state *state; /* as it reads */
     td_phase phase;
     td_fault fault;
-    int step, steps;
+    int step, steps, motion, dig_phase; /* as a task_sample has them */
+    double share;
+    bool loose;
     const td_behaviour_outputs *last; /* of the reaction before */
     uint32_t events;                  /* out: TD_EVENT_BIT of orders */
     bool links_open;                  /* out */

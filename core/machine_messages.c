@@ -225,6 +225,10 @@ static void pass_state(coder *c, td_machine_state_message *m)
     for (int i = 0; i < 5; i++) pass_reals(c, of_joints[i], m->joints, "a joint's state is no number");
     for (int k = 0; k < m->joints; k++)
         p->at_stop[k] = pass_bool(c, p->at_stop[k], "a joint is neither at a stop nor free");
+    m->motion = pass_int(c, m->motion + 1, 2, UINT16_MAX, "its motion is none") - 1;
+    pass_real(c, &m->share, "its share is no number");
+    m->dig_phase = pass_int(c, m->dig_phase + 1, 1, UINT8_MAX, "its phase of a trench is none") - 1;
+    m->loose = pass_bool(c, m->loose, "its tool is neither held nor loose");
 }
 
 static void pass_stopped(coder *c, td_machine_stopped *m)
@@ -250,8 +254,8 @@ static void pass_image(coder *c, td_machine_image *m)
     m->jpeg = jpeg;
 }
 
-static const char *const kind_names[] = {"",       "welcome", "task",    "order", "joint command",
-                                         "answer", "state",   "stopped", "image"};
+static const char *const kind_names[] = {"",      "welcome", "task",  "order", "joint command", "answer",
+                                         "state", "stopped", "image", "look",  "plan"};
 
 static void pass(coder *c, td_machine_message *m)
 {
@@ -281,12 +285,21 @@ static void pass(coder *c, td_machine_message *m)
     case TD_MACHINE_IMAGE:
         pass_image(c, &m->as.image);
         break;
+    case TD_MACHINE_LOOK:
+        m->as.look = pass_int(c, m->as.look, 2, UINT16_MAX, "its frame is none");
+        break;
+    case TD_MACHINE_PLAN: {
+        const void *text = m->as.plan.text;
+        pass_rest(c, &text, &m->as.plan.size, TD_MACHINE_MAX_TASK, "its text is not as long as it says");
+        m->as.plan.text = text;
+        break;
+    }
     }
 }
 
 static bool is_kind(unsigned kind)
 {
-    return kind >= TD_MACHINE_WELCOME && kind <= TD_MACHINE_IMAGE;
+    return kind >= TD_MACHINE_WELCOME && kind <= TD_MACHINE_PLAN;
 }
 
 td_status td_machine_encode(uint8_t **payload, size_t *size, const td_machine_message *message,

@@ -15,10 +15,14 @@
  *   5     machine  ANSWER    u8 kind answered (2 TASK, 3 ORDER), u8 order or 0, u8 accepted, text
  *   6     machine  STATE     real time_s, u8 mode, text phase, text fault, 8 hex digits task held or zeros,
  *                            u16 step, u16 steps, 7 reals pose (q: w, x, y, z; t: x, y, z), 6 reals twist, n,
- *                            5 n reals (q, dq, force, pressure, flow), n u8 (1: at a stop)
+ *                            5 n reals (q, dq, force, pressure, flow), n u8 (1: at a stop), u16 motion (0:
+ *                            none yet), real share of its length, u8 phase of a trench (0: none), u8 (1: the
+ *                            tool is not held to its path)
  *   7     machine  STOPPED   real time_s, real silent_s, real took_s, u8 joint, real angle, text why
  *   8     machine  IMAGE     real time_s, u8 side, u16 width, u16 height, 7 reals pose, n, n reals q,
- *                            u32 size, JPEG (on the images' own link)
+ *                            u32 size, JPEG; PNG of a pair that LOOK asked for (on the images' own link)
+ *   9     master   LOOK      u16 frame: 0 a pair as it is now, n the n-th that was taken as the machine came
+ *   10    master   PLAN      u32 size, text: how the trench of the next TASK is dug, which was simulated so
  *
  * Who sends TASK vouches that he simulated it: from where (start), how long it took, where the joints ended,
  * and the most that each joint's cylinders pushed. */
@@ -34,7 +38,7 @@ extern "C" {
 #endif
 
 enum {
-    TD_MACHINE_VERSION = 1,
+    TD_MACHINE_VERSION = 2,
     TD_MACHINE_TEXT_SIZE = 512,
     TD_MACHINE_MAX_TASK = 128 << 10, /* bytes of YAML */
     TD_MACHINE_MAX_IMAGE = 8 << 20,
@@ -50,7 +54,9 @@ typedef enum td_machine_kind {
     TD_MACHINE_ANSWER,
     TD_MACHINE_STATE,
     TD_MACHINE_STOPPED,
-    TD_MACHINE_IMAGE
+    TD_MACHINE_IMAGE,
+    TD_MACHINE_LOOK,
+    TD_MACHINE_PLAN
 } td_machine_kind;
 
 typedef enum td_machine_order {
@@ -124,6 +130,10 @@ typedef struct td_machine_state_message {
     int step, steps; /* from 0; of a task under way */
     int joints;
     td_plant_state plant;
+    int motion; /* from 0; -1: none yet */
+    double share;
+    int dig_phase; /* -1: of no trench */
+    bool loose;
 } td_machine_state_message;
 
 /* A safe stop: after how long a silence it was commanded, how long it took, and the joint that went furthest
@@ -158,6 +168,11 @@ typedef struct td_machine_message {
         td_machine_state_message state;
         td_machine_stopped stopped;
         td_machine_image image;
+        int look;
+        struct {
+            const char *text; /* lent; not ended by 0 */
+            size_t size;
+        } plan;
     } as;
 } td_machine_message;
 

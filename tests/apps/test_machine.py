@@ -120,6 +120,8 @@ class Machine:
             errors = "it hung"
         check(self.process.returncode == 0 and not errors, f"{name}: SIGTERM ends it cleanly {self.process.returncode} {errors[-600:]}")
         check(self.record()[-1]["what"] == "end", f"{name}: its end is recorded")
+        numbers = [line["line"] for line in self.record()]
+        check(numbers == list(range(1, len(numbers) + 1)), f"{name}: its record is numbered throughout")
 
 
 def master(verb, *arguments, to, before=(), wait=True):

@@ -70,6 +70,10 @@ static td_machine_message message_of(td_machine_kind kind)
             m.as.state.plant.flow[k] = 40 + k;
             m.as.state.plant.at_stop[k] = k % 2;
         }
+        m.as.state.motion = 7;
+        m.as.state.share = 0.25;
+        m.as.state.dig_phase = 2;
+        m.as.state.loose = true;
         break;
     case TD_MACHINE_STOPPED:
         m.as.stopped = (td_machine_stopped){.time_s = 5,
@@ -90,6 +94,13 @@ static td_machine_message message_of(td_machine_kind kind)
                                         .jpeg = (const uint8_t *)"JFIF",
                                         .size = 4};
         break;
+    case TD_MACHINE_LOOK:
+        m.as.look = 4;
+        break;
+    case TD_MACHINE_PLAN:
+        m.as.plan.text = "{}";
+        m.as.plan.size = 2;
+        break;
     }
     return m;
 }
@@ -100,6 +111,10 @@ static void check_same(const td_machine_message *a, td_machine_message b)
     if (a->kind == TD_MACHINE_TASK) {
         assert_memory_equal(a->as.task.text, b.as.task.text, a->as.task.size);
         b.as.task.text = a->as.task.text;
+    }
+    if (a->kind == TD_MACHINE_PLAN) {
+        assert_memory_equal(a->as.plan.text, b.as.plan.text, a->as.plan.size);
+        b.as.plan.text = a->as.plan.text;
     }
     if (a->kind == TD_MACHINE_IMAGE) {
         assert_memory_equal(a->as.image.jpeg, b.as.image.jpeg, a->as.image.size);
@@ -112,7 +127,7 @@ static void comes_back(void **state)
 {
     (void)state;
     td_error error = {0};
-    for (td_machine_kind kind = TD_MACHINE_WELCOME; kind <= TD_MACHINE_IMAGE; kind++) {
+    for (td_machine_kind kind = TD_MACHINE_WELCOME; kind <= TD_MACHINE_PLAN; kind++) {
         const td_machine_message m = message_of(kind);
         td_machine_message back;
         uint8_t *bytes = NULL;
@@ -138,7 +153,7 @@ static void comes_back(void **state)
     }
     td_machine_message back;
     check_fails(td_machine_decode(&back, 0, "", 0, &error), TD_ERROR_FORMAT, error, "kind 0");
-    check_fails(td_machine_decode(&back, 9, "", 0, &error), TD_ERROR_FORMAT, error, "kind 9");
+    check_fails(td_machine_decode(&back, 11, "", 0, &error), TD_ERROR_FORMAT, error, "kind 11");
 }
 
 static void is_as_the_header_says(void **state)
