@@ -430,8 +430,12 @@ async function pace(server) {
   // On a machine that does other things too: what its processors could do.
   check(found.rate >= 30 || each <= (1000 / 30) * os.cpus().length, `30 frames a second: ${found.rate.toFixed(1)}, at ${each.toFixed(0)} ms each`);
   await phaseIs(page, 'simulated', 12000);
-  await sleep(800);
+  await sleep(1200);
   await picture(page, 'site-light', false);
+  await page.setViewportSize({ width: 1200, height: 675 });
+  await sleep(900);
+  await picture(page, 'page', false); // for the README: apps/panel/page.png
+  await page.setViewportSize({ width: 1440, height: 900 });
   await page.emulateMedia({ colorScheme: 'dark' });
   await sleep(900);
   await picture(page, 'site-dark', false);
@@ -587,8 +591,21 @@ async function keyboard(server) {
   await page.context().close();
 }
 
+/** With Mesa's renderer, which is the faster one without a graphics processor; else with Chromium's own. */
+async function launch() {
+  for (const args of [['--use-angle=gl-egl', '--ignore-gpu-blocklist'], ['--use-angle=swiftshader', '--enable-unsafe-swiftshader']]) {
+    browser = await chromium.launch({ executablePath: chrome, args: ['--no-sandbox', '--use-gl=angle', ...args] });
+    const page = await browser.newPage();
+    const draws = await page.evaluate(() => document.createElement('canvas').getContext('webgl2') !== null).catch(() => false);
+    await page.close().catch(() => undefined);
+    if (draws) return;
+    await browser.close();
+  }
+  check(false, 'the browser has WebGL 2');
+}
+
 async function main() {
-  browser = await chromium.launch({ executablePath: chrome, args: ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader'] });
+  await launch();
   const parts = {
     session: async () => {
       const server = await panel(settings.scenario, 'session');
