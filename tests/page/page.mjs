@@ -221,7 +221,8 @@ async function session(page, server) {
   await page.click('#order-Reinit');
   await phaseIs(page, 'ready');
 
-  why = await put(page, '/task/step_1/to/x_m', '9.9');
+  await put(page, '/task/step_1/duration_s', '6');
+  why = await put(page, '/task/step_1/to/x_m', '10.2');
   await page.click('#order-StartSim');
   check(await phaseIs(page, 'failed'), `a pose out of reach fails: ${why}`);
   await sleep(300);
@@ -230,6 +231,7 @@ async function session(page, server) {
   await page.keyboard.press('r');
   check(await phaseIs(page, 'ready'), 'Reinit, by its key');
   await put(page, '/task/step_1/to/x_m', '7');
+  await put(page, '/task/step_1/duration_s', '2.5');
   await page.click('#order-StartSim');
   await phaseIs(page, 'simulating');
   await show(page, 'site');

@@ -10,7 +10,7 @@ const SOLID = {
     void main() {
       vec3 n = normalize(mat3(modelMatrix) * (normal / vec3(dot(modelMatrix[0].xyz, modelMatrix[0].xyz), dot(modelMatrix[1].xyz, modelMatrix[1].xyz), dot(modelMatrix[2].xyz, modelMatrix[2].xyz))));
       float sun = max(dot(n, vec3(-0.41, 0.35, 0.84)), 0.0);
-      seen = tone * (0.60 + 0.10 * n.z + 0.42 * sun);
+      seen = tone * (0.70 + 0.08 * n.z + 0.32 * sun);
       gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
     }`,
   fragmentShader: `

@@ -100,8 +100,18 @@ function eventsCard(link: Link): HTMLElement {
     last = time_s;
     const [kind, ...rest] = log.message.split(': ');
     const text = rest[0] === kind ? rest.slice(1).join(': ') : rest.join(': ');
+    if (text.startsWith('a deadline was missed')) return; // its report tells it
     const bad = kind === 'fault';
+    const before = body.rows[0];
+    if (before && before.dataset.text === log.message) {
+      const times = Number(before.dataset.times ?? 1) + 1;
+      before.dataset.times = String(times);
+      write(before.cells[0], `${number(time_s, 2)} s`);
+      write(before.cells[2], `${text}, ${times} times`);
+      return;
+    }
     const row = h('tr', { class: bad ? 'bad' : log.level >= 3 ? 'warn' : '' }, h('td', { class: 'n' }, `${number(time_s, 2)} s`), h('td', {}, kind), h('td', { class: 'text-cell' }, text || log.message));
+    row.dataset.text = log.message;
     body.prepend(row);
     while (body.rows.length > EVENTS_SHOWN) body.lastElementChild!.remove();
   });
