@@ -301,6 +301,36 @@ const ball = (page) =>
     return [p.x, p.y, p.z];
   });
 
+/** A second machine's frames, as they come on /measured/tf: its links where it says, seen through. */
+async function ghost(page) {
+  await show(page, 'site');
+  await until(page, () => document.querySelector('.canvas')?.site?.machine.frames.has('boom'));
+  const seen = await page.evaluate(() => {
+    const { site } = document.querySelector('.canvas');
+    const transforms = [...site.machine.frames].map(([name, f]) => {
+      const parent = [...site.machine.frames].find(([, g]) => g === f.parent)?.[0];
+      return {
+        parent_frame_id: parent ? `measured/${parent}` : 'site',
+        child_frame_id: `measured/${name}`,
+        translation: { x: f.position.x + (parent ? 0 : 1), y: f.position.y, z: f.position.z },
+        rotation: { x: f.quaternion.x, y: f.quaternion.y, z: f.quaternion.z, w: f.quaternion.w },
+      };
+    });
+    site.transforms({ transforms }, 'measured');
+    site.scene.updateMatrixWorld(true);
+    const g = site.ghosts.get('measured');
+    let meshes = 0;
+    let clear = 0;
+    g.root.traverse((o) => o.isMesh && (meshes++, (clear += o.material.transparent ? 1 : 0)));
+    const at = (m) => m.frames.get('bucket').getWorldPosition(site.controls.target.clone()).x;
+    return { meshes, clear, off: at(g) - at(site.machine) };
+  });
+  await sleep(700);
+  await picture(page, 'ghost-light', false);
+  check(seen.meshes > 5 && seen.clear === seen.meshes && Math.abs(seen.off - 1) < 1e-3, `a measured machine is a ghost beside the other: ${JSON.stringify(seen)}`);
+  await page.evaluate(() => document.querySelector('.canvas').site.dropGhosts());
+}
+
 /** The desired place, dragged. */
 async function dragging(page, server) {
   await show(page, 'site');
@@ -615,6 +645,7 @@ async function main() {
       await session(page, server);
       await byHand(page);
       await watcher(server.url);
+      await ghost(page);
       await dragging(page, server);
       await page.context().close();
       await server.end();

@@ -117,8 +117,9 @@ class Machine {
   transforms(m: Transforms, prefix: string): boolean {
     let moved = false;
     for (const t of m.transforms) {
-      const child = this.frame(t.child_frame_id.slice(prefix.length));
-      const parentName = t.parent_frame_id.startsWith(prefix) ? t.parent_frame_id.slice(prefix.length) : t.parent_frame_id;
+      const own = (name: string) => (name.startsWith(prefix) ? name.slice(prefix.length) : name);
+      const child = this.frame(own(t.child_frame_id));
+      const parentName = own(t.parent_frame_id);
       const parent = parentName === 'site' ? this.root : this.frame(parentName);
       if (child.parent !== parent) parent.add(child);
       const { x, y, z, w } = t.rotation;
@@ -275,19 +276,19 @@ export class SiteScene {
   /** Frames of a prefix belong to another machine. */
   transforms(m: Transforms, prefix = LIVE): void {
     if (prefix !== LIVE) {
-      if (this.ghost(prefix).transforms(m, '')) this.draw();
+      if (this.ghost(prefix).transforms(m, `${prefix}/`)) this.draw();
       return;
     }
     const own: Transforms['transforms'] = [];
     const others = new Map<string, Transforms['transforms']>();
     for (const t of m.transforms) {
       const slash = t.child_frame_id.lastIndexOf('/');
-      const of = slash > 0 ? t.child_frame_id.slice(0, slash + 1) : LIVE;
+      const of = slash > 0 ? t.child_frame_id.slice(0, slash) : LIVE;
       if (of === LIVE) own.push(t);
       else others.set(of, [...(others.get(of) ?? []), t]);
     }
     let moved = this.machine.transforms({ transforms: own }, '');
-    for (const [of, list] of others) moved = this.ghost(of).transforms({ transforms: list }, of) || moved;
+    for (const [of, list] of others) moved = this.ghost(of).transforms({ transforms: list }, `${of}/`) || moved;
     if (!this.framed && own.length > 0) this.frameView();
     if (moved) this.draw();
   }
