@@ -34,7 +34,7 @@ const DRAPED = {
 
 export function solid(r: number, g: number, b: number, opacity: number, ghost: boolean): ShaderMaterial {
   const tone = new Color().setRGB(r, g, b);
-  return new ShaderMaterial({ ...SOLID, uniforms: { tone: { value: tone }, opacity: { value: opacity } }, transparent: opacity < 1, depthWrite: !ghost });
+  return new ShaderMaterial({ ...SOLID, uniforms: { tone: { value: tone }, opacity: { value: opacity } }, transparent: opacity < 1, depthWrite: !ghost, polygonOffset: ghost, polygonOffsetFactor: 1, polygonOffsetUnits: 4 });
 }
 
 export function draped(): ShaderMaterial & { uniforms: { map: { value: DataTexture | null } } } {

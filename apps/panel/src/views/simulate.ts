@@ -2,7 +2,7 @@
 // of what is wanted and what is.
 
 import { BehaviourView } from '../behaviour';
-import { card, degrees, h, newId, number, write } from '../dom';
+import { card, degrees, h, inMotion, newId, number, write } from '../dom';
 import { Fields } from '../fields';
 import type { Link } from '../link';
 import type { Diagnostics, JointStates, Log, PoseInFrame, Session } from '../messages';
@@ -100,7 +100,7 @@ function eventsCard(link: Link): HTMLElement {
     last = time_s;
     const [kind, ...rest] = log.message.split(': ');
     const text = rest[0] === kind ? rest.slice(1).join(': ') : rest.join(': ');
-    if (text.startsWith('a deadline was missed')) return; // its report tells it
+    if (text.includes('a deadline was missed, and forgiven')) return; // its report tells it
     const bad = kind === 'fault';
     const before = body.rows[0];
     if (before && before.dataset.text === log.message) {
@@ -296,7 +296,7 @@ function stateCard(link: Link): HTMLElement {
   }
   link.on<Session>('/session', (session) => {
     const share = Math.max(0, Math.min(1, session.share));
-    bar.hidden = session.step <= 0;
+    bar.hidden = session.step <= 0 || !inMotion(session.phase);
     (bar.firstChild as HTMLElement).style.width = `${100 * share}%`;
     bar.setAttribute('aria-valuenow', String(Math.round(100 * share)));
   });
