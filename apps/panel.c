@@ -1,5 +1,5 @@
-/* teledimos panel: the master station's server. A scenario's session in real time, seen and led over the
- * network. */
+/* teledimos panel: the master station's server and the operator's page. A scenario's session in real time,
+ * seen and led over the network. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -57,7 +57,13 @@ static cli_command command = {
     .summary = "a session in real time, seen and led over the network (Foxglove)",
     .usage = "SCENARIO -o DIR [options]",
     .text =
-        "Runs the session of a scenario with a task (see teledimos simulate) in real time, and serves it "
+        "Runs the session of a scenario with a task (see teledimos simulate) in real time, and serves a page "
+        "to lead it by: http://127.0.0.1:8765/ in a browser. Parameters, orders, the state of the session, "
+        "curves of what is wanted and what is, and the machine on its ground in 3D, live or from a "
+        "recording. Where a token is asked for, give it to the page as ?token=…; the page itself holds "
+        "nothing "
+        "and is served to all.\n\n"
+        "The same goes "
         "over "
         "the Foxglove WebSocket protocol: Foxglove, and any client of its protocol, sees the machine move, "
         "its "
@@ -293,7 +299,8 @@ static td_status serve(panel *p, job *j)
                                         common.output, &p->options, j->log, &j->error);
     if (status == TD_OK) {
         snprintf(p->url, sizeof p->url, "%s", panel_server_url(server));
-        if (!common.quiet) fprintf(stderr, "panel: %s\n", p->url);
+        if (!common.quiet)
+            fprintf(stderr, "panel: %s\npage: http%s%s\n", p->url, p->url + 2, token_file ? "?token=…" : "");
         if (insecure && !panel_door_is_local(p->options.host))
             td_log_write(&j->log, TD_LOG_WARNING, "panel",
                          "without TLS: the token and all orders can be read and changed on their way");

@@ -19,7 +19,7 @@ done
 . apps/install.sh
 td_install "$TD_BUILD_PACKAGES libcmocka-dev clang libclang-rt-14-dev python3 python3-opencv python3-numpy python3-yaml groff-base libxml2-utils mrpt-common python3-camera-calibration-parsers libcamera-calibration-parsers-dev liborocos-kdl-dev dart-doc gdal-bin python3-gdal assimp-utils spin openssl iproute2"
 td_install_data
-[ "$full" -eq 1 ] && td_install "mrcal chromium python3-scipy libdart-dev"
+[ "$full" -eq 1 ] && td_install "mrcal chromium nodejs npm python3-scipy libdart-dev"
 if [ -n "${TELEDIMOS_DATA:-}" ]; then
     TELEDIMOS_DATA=$(cd "$TELEDIMOS_DATA" && pwd)
     export TELEDIMOS_DATA

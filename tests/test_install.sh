@@ -44,5 +44,6 @@ cd /
 "$work/prefix/bin/teledimos" --version
 "$work/prefix/bin/teledimos" calibrate --help >/dev/null
 test -s "$work/prefix/share/man/man1/teledimos-calibrate.1"
+test -f "$work/prefix/share/teledimos/panel/index.html"
 test -f "$work/prefix/share/teledimos/datasets/opencv-stereo/dataset.yaml"
 echo "the installation works"

@@ -2,7 +2,8 @@
 
 What is seen live is what ran: the joints of the live messages against those of the session done again from the recording by
 simulate --replay, to their digits. Orders by who holds control alone; it is handed over, refused, and lost with its
-connection, which stops the machine. Everything that must not come in is refused, told and logged, while another client goes
+connection, which stops the machine. The table
+of its logic is the documented one. Everything that must not come in is refused, told and logged, while another client goes
 on being served: no token, a wrong one, another origin or subprotocol, too many clients, orders of a watcher, a call sent
 again, messages that are none, too large, too slow, too many, frames that are none. The audit log is whole after SIGKILL.
 Fifty watchers, a tenth of whom read nothing (TELEDIMOS_FULL: 200 for ten minutes): those who read get each period's
@@ -121,6 +122,7 @@ def test_session(folder):
         check({"/tf", "/joints", "/joints/desired", "/tool", "/tool/desired", "/machine", "/log", "/session", "/diagnostics"} <=
               set(client.channels), f"channels: {sorted(client.channels)}")
         check("/terrain" not in client.channels, "no ground, no terrain")
+        test_table(client)
         for channel in client.channels.values():
             check(json.loads(channel["schema"])["type"] == "object" and channel["encoding"] == "json",
                   f"{channel['topic']} has a schema")
@@ -196,6 +198,46 @@ def test_parameters(client):
     check(put("/control/period_s", 1) == 0.05, "what can only be read is not")
     check(put("/task/step_1/to/x_m", 500) == 7, "a goal beyond the arm's reach is not")
     check(put("/nothing", 1) is None, "what is not there is not")
+
+
+PHASE = re.compile(r" \*   ([A-Z_]+)  +(?:rest|stop|hold|simulate|execute|jog, hold)  +(\S.*)")
+
+
+def documented_ways():
+    """{(phase, order or report, phase)} of the table at the head of sim/behaviour.h, which a person wrote."""
+    ways = set()
+    with open(os.path.join(SOURCE, "sim/behaviour.h")) as file:
+        for phase, steps in (found.groups() for found in map(PHASE.match, file) if found):
+            named = []
+            for step in steps.split(", "):
+                named.append(re.sub(r" \(held\)", "", step.split(" -> ")[0]))
+                if " -> " not in step:
+                    continue
+                ways |= {(phase, name, step.split(" -> ")[1].strip()) for name in named}
+                named = []
+    return ways
+
+
+def test_table(client):
+    """The logic that is drawn: asked of the function, it is the table of its documentation; and faults and stops lead where they
+    must."""
+    client.subscribe("/panel")
+    client.until(lambda: "/panel" in client.latest)
+    table = client.newest("/panel")["behaviour"]
+    names = {event["text"]: event["name"] for event in table["events"]}
+    phases = {phase["name"] for phase in table["phases"]}
+    ways = {(way["from"], names.get(way["event"], "links open and parameters read"), way["to"]) for way in table["ways"]}
+    everywhere = {"USER_STOP", "ABORT", "UNREACHABLE", "LIMIT", "SINGULARITY", "DEADLINE", "DEVIATION", "PART_FAILED"}
+    drawn = {way for way in ways if way[1] not in everywhere}
+    # A Pause where it is paused already changes nothing.
+    drawn -= {(phase, "PAUSE", phase) for phase in ("SIMULATION_PAUSED", "EXECUTION_PAUSED")}
+    written = documented_ways()
+    check(len(written) == 25 and drawn == written, f"the table that is served is the documented one: {sorted(drawn ^ written)}")
+    for fault in everywhere - {"USER_STOP", "ABORT"}:
+        to = {way[0] for way in ways if way[1] == fault and way[2] == "FAILED"}
+        check(to == phases - {"IDLE", "FAILED"}, f"{fault} leads to FAILED from everywhere: {sorted(phases - to)}")
+    to = {way[0] for way in ways if way[1] == "USER_STOP" and way[2] == "IDLE"}
+    check(to == phases - {"IDLE"}, f"UserStop to IDLE: {sorted(phases - to)}")
 
 
 def test_replay(folder):

@@ -45,6 +45,9 @@ export function words(name: string): string {
 
 export const degrees = (rad: number): number => (rad * 180) / Math.PI;
 
+/** Phases in which steps and shares of a motion mean something. */
+export const inMotion = (phase: string): boolean => /^(simulat|the simulation|the machine (executes|is paused)|executed)/.test(phase);
+
 let ids = 0;
 export const newId = (): string => `e${++ids}`;
 

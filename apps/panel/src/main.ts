@@ -19,7 +19,7 @@
 // alone, and taken out of the address.
 
 import './style.css';
-import { h, write } from './dom';
+import { h, inMotion, write } from './dom';
 import { Link } from './link';
 import { Orders } from './orders';
 
@@ -141,7 +141,7 @@ link.onChange(() => {
   document.body.dataset.phase = session?.phase ?? '';
   const failed = session?.phase.startsWith('failed') ?? false;
   phase.className = `phase-word ${failed ? 'bad' : ''}`;
-  write(step, session && session.steps > 0 && session.step > 0 ? `step ${session.step} of ${session.steps}` : '');
+  write(step, session && session.steps > 0 && session.step > 0 && inMotion(session.phase) ? `step ${session.step} of ${session.steps}` : '');
   const operator = session?.operator ?? 0;
   write(holder, lost ? '' : link.leads ? 'You lead' : operator ? `Client ${operator} leads` : 'Nobody leads');
   take.hidden = lost || operator !== 0;

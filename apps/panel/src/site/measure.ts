@@ -55,7 +55,7 @@ function plane(corner: Vector3[]): (x: number, y: number) => number {
  *  all err together. */
 export function volume(map: Map2, corner: Vector3[], floor: (x: number, y: number, i: number) => number, of: Float32Array | null): { above: number; below: number; area: number; unknown: number; alone: number; together: number } {
   const cell = map.cell * map.cell;
-  let [above, below, area, unknown, squares, sum] = [0, 0, 0, 0, 0, 0];
+  let [above, below, unknown, squares, sum] = [0, 0, 0, 0, 0];
   for (let r = 0, i = 0; r < map.rows; r++)
     for (let c = 0; c < map.columns; c++, i++) {
       const x = map.x + c * map.cell;
@@ -66,7 +66,6 @@ export function volume(map: Map2, corner: Vector3[], floor: (x: number, y: numbe
         unknown += cell;
         continue;
       }
-      area += cell;
       if (d > 0) above += d * cell;
       else below -= d * cell;
       const s2 = map.sigma[i] * map.sigma[i] + (of ? of[i] * of[i] : 0);
@@ -75,6 +74,7 @@ export function volume(map: Map2, corner: Vector3[], floor: (x: number, y: numbe
         sum += Math.sqrt(s2);
       }
     }
+  const area = Math.abs(corner.reduce((a, p, i) => a + p.x * corner[(i + 1) % corner.length].y - corner[(i + 1) % corner.length].x * p.y, 0)) / 2;
   return { above, below, area, unknown, alone: cell * Math.sqrt(squares), together: cell * sum };
 }
 
@@ -180,7 +180,7 @@ export class Measure {
     if (!this.closed) return [this.points.length < 3 ? `Click the corners of the area (${this.points.length} so far).` : 'Click more corners, or close the area (Enter).'];
     const flat = plane(this.points);
     const v = volume(map, this.points, flat, null);
-    const lines = [`area ${number(v.area, 2)} m²${v.unknown > 0 ? `, and ${number(v.unknown, 2)} m² not known` : ''}`];
+    const lines = [`area ${number(v.area, 2)} m²${v.unknown > 0 ? `, ${number(v.unknown, 2)} m² of it not known` : ''}`];
     const sigma = (w: typeof v) => (w.together > 0 ? ` (σ ${number(w.alone, 3)} m³ if cells err apart, ${number(w.together, 3)} together)` : '');
     lines.push(`below the plane of its corners ${number(v.below, 3)} m³, above it ${number(v.above, 3)} m³${sigma(v)}`);
     if (before && before !== map && before.height.length === map.height.length) {

@@ -2,12 +2,13 @@
 // up, the root is the site's frame.
 
 import {
-  AmbientLight, BoxGeometry, BufferAttribute, BufferGeometry, Color, CylinderGeometry, DirectionalLight, GridHelper, Group, Line, LineBasicMaterial, LineDashedMaterial,
-  Mesh, MeshLambertMaterial, PerspectiveCamera, Quaternion, Raycaster, Scene, SphereGeometry, Vector2, Vector3, WebGLRenderer, type Material, type Object3D,
+  BoxGeometry, BufferAttribute, BufferGeometry, Color, CylinderGeometry, GridHelper, Group, Line, LineBasicMaterial, LineDashedMaterial,
+  Mesh, PerspectiveCamera, Quaternion, Raycaster, Scene, SphereGeometry, Vector2, Vector3, WebGLRenderer, type Material, type Object3D,
 } from 'three';
 import { OrbitControls } from 'three/addons/controls/OrbitControls.js';
 import { colour } from '../dom';
 import type { Pose, SceneUpdate, Transforms } from '../messages';
+import { solid } from './shade';
 import { Terrain } from './terrain';
 
 const BOX = new BoxGeometry(1, 1, 1);
@@ -116,8 +117,9 @@ class Machine {
   transforms(m: Transforms, prefix: string): boolean {
     let moved = false;
     for (const t of m.transforms) {
-      const child = this.frame(t.child_frame_id.slice(prefix.length));
-      const parentName = t.parent_frame_id.startsWith(prefix) ? t.parent_frame_id.slice(prefix.length) : t.parent_frame_id;
+      const own = (name: string) => (name.startsWith(prefix) ? name.slice(prefix.length) : name);
+      const child = this.frame(own(t.child_frame_id));
+      const parentName = own(t.parent_frame_id);
       const parent = parentName === 'site' ? this.root : this.frame(parentName);
       if (child.parent !== parent) parent.add(child);
       const { x, y, z, w } = t.rotation;
@@ -132,8 +134,7 @@ class Machine {
   }
 
   private material(c: { r: number; g: number; b: number; a: number }): Material {
-    if (!this.ghost) return new MeshLambertMaterial({ color: new Color(c.r, c.g, c.b), transparent: c.a < 1, opacity: c.a });
-    return new MeshLambertMaterial({ color: new Color(0.3, 0.65, 0.95), transparent: true, opacity: 0.38, depthWrite: false });
+    return this.ghost ? solid(0.3, 0.65, 0.95, 0.38, true) : solid(c.r, c.g, c.b, c.a, false);
   }
 
   shapes(update: SceneUpdate): void {
@@ -202,9 +203,7 @@ export class SiteScene {
     this.planned = new Path(new LineDashedMaterial({ dashSize: 0.12, gapSize: 0.08, depthTest: false, transparent: true }));
     this.predicted = new Path(new LineBasicMaterial({ depthTest: false, transparent: true, opacity: 0.9 }));
     this.floor = new GridHelper(40, 40).rotateX(Math.PI / 2);
-    const sun = new DirectionalLight(0xffffff, 2.2);
-    sun.position.set(-3, 3, 6);
-    this.scene.add(new AmbientLight(0xffffff, 1.3), sun, this.machine.root, this.terrain.mesh, this.planned.line, this.predicted.line, this.marks, this.floor);
+    this.scene.add(this.machine.root, this.terrain.mesh, this.planned.line, this.predicted.line, this.marks, this.floor);
     this.theme();
     matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => this.theme());
     new ResizeObserver(() => this.resize()).observe(holder);
@@ -277,19 +276,19 @@ export class SiteScene {
   /** Frames of a prefix belong to another machine. */
   transforms(m: Transforms, prefix = LIVE): void {
     if (prefix !== LIVE) {
-      if (this.ghost(prefix).transforms(m, '')) this.draw();
+      if (this.ghost(prefix).transforms(m, `${prefix}/`)) this.draw();
       return;
     }
     const own: Transforms['transforms'] = [];
     const others = new Map<string, Transforms['transforms']>();
     for (const t of m.transforms) {
       const slash = t.child_frame_id.lastIndexOf('/');
-      const of = slash > 0 ? t.child_frame_id.slice(0, slash + 1) : LIVE;
+      const of = slash > 0 ? t.child_frame_id.slice(0, slash) : LIVE;
       if (of === LIVE) own.push(t);
       else others.set(of, [...(others.get(of) ?? []), t]);
     }
     let moved = this.machine.transforms({ transforms: own }, '');
-    for (const [of, list] of others) moved = this.ghost(of).transforms({ transforms: list }, of) || moved;
+    for (const [of, list] of others) moved = this.ghost(of).transforms({ transforms: list }, `${of}/`) || moved;
     if (!this.framed && own.length > 0) this.frameView();
     if (moved) this.draw();
   }

@@ -1,8 +1,9 @@
 // The ground: an elevation map as a surface whose colours say height, sigma, where the height is from, or what has changed.
 // Its light is in the colours, so that drawing it costs a texture and no more.
 
-import { BufferAttribute, BufferGeometry, ClampToEdgeWrapping, DataTexture, LinearFilter, Mesh, MeshBasicMaterial, RGBAFormat, Sphere, SRGBColorSpace, Vector3 } from 'three';
+import { BufferAttribute, BufferGeometry, ClampToEdgeWrapping, DataTexture, LinearFilter, Mesh, RGBAFormat, Sphere, Vector3 } from 'three';
 import type { Grid } from '../messages';
+import { draped } from './shade';
 
 export type Colouring = 'height' | 'sigma' | 'provenance' | 'difference';
 
@@ -103,7 +104,7 @@ function range(values: Float32Array): [number, number] {
 const MOST = 1 << 17; // vertices of the surface; the colours keep every cell
 
 export class Terrain {
-  readonly mesh = new Mesh(new BufferGeometry(), new MeshBasicMaterial({ toneMapped: false }));
+  readonly mesh = new Mesh(new BufferGeometry(), draped());
   map: Map2 | null = null;
   /** What a difference is against: the first that was seen. */
   before: Map2 | null = null;
@@ -207,12 +208,10 @@ export class Terrain {
     if (!this.texture || this.texture.image.width !== m.columns || this.texture.image.height !== m.rows) {
       this.texture?.dispose();
       const t = new DataTexture(new Uint8Array(4 * n), m.columns, m.rows, RGBAFormat);
-      t.colorSpace = SRGBColorSpace;
       t.magFilter = t.minFilter = LinearFilter;
       t.wrapS = t.wrapT = ClampToEdgeWrapping;
       this.texture = t;
-      this.mesh.material.map = t;
-      this.mesh.material.needsUpdate = true;
+      this.mesh.material.uniforms.map.value = t;
     }
     const data = this.texture.image.data as Uint8Array;
     const value = this.values(m);

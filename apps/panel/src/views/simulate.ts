@@ -2,7 +2,7 @@
 // of what is wanted and what is.
 
 import { BehaviourView } from '../behaviour';
-import { card, degrees, h, newId, number, write } from '../dom';
+import { card, degrees, h, inMotion, newId, number, write } from '../dom';
 import { Fields } from '../fields';
 import type { Link } from '../link';
 import type { Diagnostics, JointStates, Log, PoseInFrame, Session } from '../messages';
@@ -100,8 +100,18 @@ function eventsCard(link: Link): HTMLElement {
     last = time_s;
     const [kind, ...rest] = log.message.split(': ');
     const text = rest[0] === kind ? rest.slice(1).join(': ') : rest.join(': ');
+    if (text.includes('a deadline was missed, and forgiven')) return; // its report tells it
     const bad = kind === 'fault';
+    const before = body.rows[0];
+    if (before && before.dataset.text === log.message) {
+      const times = Number(before.dataset.times ?? 1) + 1;
+      before.dataset.times = String(times);
+      write(before.cells[0], `${number(time_s, 2)} s`);
+      write(before.cells[2], `${text}, ${times} times`);
+      return;
+    }
     const row = h('tr', { class: bad ? 'bad' : log.level >= 3 ? 'warn' : '' }, h('td', { class: 'n' }, `${number(time_s, 2)} s`), h('td', {}, kind), h('td', { class: 'text-cell' }, text || log.message));
+    row.dataset.text = log.message;
     body.prepend(row);
     while (body.rows.length > EVENTS_SHOWN) body.lastElementChild!.remove();
   });
@@ -286,7 +296,7 @@ function stateCard(link: Link): HTMLElement {
   }
   link.on<Session>('/session', (session) => {
     const share = Math.max(0, Math.min(1, session.share));
-    bar.hidden = session.step <= 0;
+    bar.hidden = session.step <= 0 || !inMotion(session.phase);
     (bar.firstChild as HTMLElement).style.width = `${100 * share}%`;
     bar.setAttribute('aria-valuenow', String(Math.round(100 * share)));
   });
