@@ -122,7 +122,7 @@ export class Link implements Feed {
     else this.subscribe();
     return () => {
       set.delete(taker);
-      if (set.size === 0) this.unsubscribe(topic);
+      if (set.size === 0 && this.takers.get(topic) === set) this.unsubscribe(topic);
     };
   }
 

@@ -100,7 +100,7 @@ class View {
       h(
         'div',
         { class: 'side' },
-        card('Pair', chooser(this.bench, (row) => (row.cameras?.length ?? 0) > 1, 'Dataset with two cameras'), this.frame.root, this.rig.root, h('div', { class: 'two' }, field('Nearest', this.near, 'm'), field('Farthest', this.far, 'm')), h('p', { class: 'note keys' }, this.helps, h('label', { for: this.helps.id }, 'Interest points: a click takes the one beside it')), this.pairTold, this.fits),
+        card('Pair', chooser(this.bench, (row) => (row.cameras?.length ?? 0) > 1, 'Dataset with two cameras'), this.frame.root, this.rig.root, h('div', { class: 'two' }, field('Nearest', this.near, 'm'), field('Farthest', this.far, 'm')), h('p', { class: 'note tick' }, this.helps, h('label', { for: this.helps.id }, 'Interest points: a click takes the one beside it')), this.pairTold, this.fits),
         card('Points', this.plan.root, this.remark, h('div', { class: 'orders' }, this.undo, this.save), this.load, this.saveTold),
       ),
       h(
@@ -269,6 +269,7 @@ class View {
     }
     this.points = answer.value;
     this.clicked = null;
+    write(this.saveTold, '');
     const p = answer.value.points.at(-1)!;
     write(this.told, `Point ${p.point}: ${p.p!.map((v) => number(v, 4)).join(', ')} m, σ ${sigma(p)} mm.`);
     this.showCandidates();
