@@ -15,5 +15,11 @@ if ! cmp -s package-lock.json node_modules/.installed; then
 fi
 npm run --silent check
 npm run --silent build
+for package in three uplot; do # what is built in, under terms of its own
+    echo "$package"
+    echo
+    cat "node_modules/$package/LICENSE"
+    echo
+done >dist/licences.txt
 rm -f "$out"/*
 cp dist/* "$out"

@@ -86,7 +86,7 @@ def test_files(folder):
                 truth = file.read()
             status, head, plain = get(url + path)
             check(status == 200 and plain == truth, f"{path} is {name}, byte for byte")
-            kind = {"html": "text/html", "js": "text/javascript", "css": "text/css"}[name.rsplit(".", 1)[1]]
+            kind = {"html": "text/html", "js": "text/javascript", "css": "text/css", "txt": "text/plain"}[name.rsplit(".", 1)[1]]
             check(head["Content-Type"].startswith(kind), f"{path} is {head['Content-Type']}")
             policy = head["Content-Security-Policy"]
             check("default-src 'none'" in policy and "unsafe" not in policy and "http" not in policy, f"{path}: {policy}")
