@@ -53,13 +53,27 @@ static const char diagnostics_schema[] =
     "\"type\":\"integer\"},\"samples_dropped\":{\"type\":\"integer\"},\"orders\":{\"type\":\"integer\"},"
     "\"refused\":{\"type\":\"integer\"}}}";
 
-static const char about_schema[] = "{\"type\":\"object\",\"title\":\"teledimos.Panel\",\"properties\":{"
-                                   "\"scenario\":{\"type\":\"string\"},\"robot\":{"
-                                   "\"type\":\"string\"},\"task\":{\"type\":\"string\"},\"task_frame\":{"
-                                   "\"type\":\"string\"},\"period_s\":{\"type\":"
-                                   "\"number\"},\"joints\":{\"type\":\"array\",\"items\":{\"type\":"
-                                   "\"object\"}},\"parameters\":{\"type\":\"array\","
-                                   "\"items\":{\"type\":\"object\"}},\"behaviour\":{\"type\":\"object\"}}}";
+static const char about_schema[] =
+    "{\"type\":\"object\",\"title\":\"teledimos.Panel\","
+    "\"properties\":{\"scenario\":{\"type\":\"string\"},\"about\":{\"type\":\"string\"},"
+    "\"robot\":{\"type\":\"string\"},\"task\":{\"type\":\"string\"},"
+    "\"task_frame\":{\"type\":\"string\"},\"ground\":{\"type\":\"boolean\"},"
+    "\"period_s\":{\"type\":\"number\"},\"joints\":{\"type\":\"array\",\"items\":{\"type\":\"object\","
+    "\"properties\":{\"name\":{\"type\":\"string\"},\"unit\":{\"type\":\"string\"},"
+    "\"low\":{\"type\":[\"number\",\"null\"]},\"high\":{\"type\":[\"number\",\"null\"]}}}},"
+    "\"parameters\":{\"type\":\"array\",\"items\":{\"type\":\"object\","
+    "\"properties\":{\"name\":{\"type\":\"string\"},\"settable\":{\"type\":\"boolean\"},"
+    "\"low\":{\"type\":[\"number\",\"null\"]},\"high\":{\"type\":[\"number\",\"null\"]},"
+    "\"choices\":{\"type\":\"array\",\"items\":{\"type\":\"string\"}}},\"required\":[\"name\","
+    "\"settable\"]}},\"behaviour\":{\"type\":\"object\","
+    "\"properties\":{\"phases\":{\"type\":\"array\",\"items\":{\"type\":\"object\","
+    "\"properties\":{\"name\":{\"type\":\"string\"},\"text\":{\"type\":\"string\"}}}},"
+    "\"events\":{\"type\":\"array\",\"items\":{\"type\":\"object\","
+    "\"properties\":{\"name\":{\"type\":\"string\"},\"text\":{\"type\":\"string\"},"
+    "\"order\":{\"type\":\"boolean\"}}}},\"ways\":{\"type\":\"array\",\"items\":{\"type\":\"object\","
+    "\"properties\":{\"from\":{\"type\":\"string\"},\"event\":{\"type\":\"string\"},"
+    "\"to\":{\"type\":\"string\"}}}},\"faults\":{\"type\":\"array\","
+    "\"items\":{\"type\":\"string\"}}}}}}";
 
 static void publish_session(panel_feed *f, const panel_sample *p)
 {

@@ -65,7 +65,8 @@ def schema_fault(value, schema, path="message"):
     if kind == "array":
         return next(filter(None, (schema_fault(v, schema["items"], f"{path}[]") for v in value)), "")
     if kind == "object":
-        if set(value) != set(schema["properties"]) or not set(schema.get("required", [])) <= set(value):
+        known = set(schema["properties"])
+        if not set(schema.get("required", known)) <= set(value) <= known:
             return f"{path}: has fields {sorted(value)}"
         return next(filter(None, (schema_fault(v, schema["properties"][k], f"{path}.{k}") for k, v in value.items())), "")
     return ""
