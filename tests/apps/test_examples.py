@@ -13,7 +13,7 @@ from common import COMMANDS, ENVIRONMENT, FULL, SOURCE, check, finish, run, shor
 
 JOBS = ("calibrate", "rectify")  # their products hold a result
 # Minutes each, and run by tests of their own: here with TELEDIMOS_FULL=1.
-LONG = ("zx200/dig.yaml", "zx200/trench.yaml", "zx200/servo.yaml")
+LONG = ("zx200/dig.yaml", "zx200/trench", "zx200/servo.yaml")
 
 
 def test_examples():

@@ -557,6 +557,49 @@ async function linkDown(server) {
   between.cut();
 }
 
+/** A task that was validated here, done by a machine in a process of its own. */
+async function machine() {
+  const far = spawn(settings.program, ['machine', settings.ground, '--listen', '127.0.0.1:0', '--token-file', settings.token_file, '-o', path.join(work, 'far'), '--image-rate', '0', '--period', '0.5'], { stdio: ['ignore', 'pipe', 'ignore'] });
+  running.add(far);
+  const port = await new Promise((done) => far.stdout.on('data', (text) => done(String(text).trim().split(/\s+/).pop())));
+  const server = await panel(settings.ground, 'led', '--machine', `127.0.0.1:${port}`, '--machine-token-file', settings.token_file, '--machine-period', '0.5');
+  const page = await open(server.url);
+  await live(page);
+  await page.click('#take');
+  await phaseIs(page, 'ready');
+  check(await until(page, () => /open/.test(document.querySelector('#machine')?.innerText ?? '')), `the machine's link is told: ${(await text(page, '#machine')).replace(/\s+/g, ' ')}`);
+  const from = await jointAt(page, 0);
+  check(await page.locator('#order-Execute').isDisabled(), 'what is not validated cannot be executed');
+  await page.click('#order-StartSim');
+  check(await phaseIs(page, 'simulated to the end', 20000), 'simulated');
+  await page.click('#order-Validate');
+  check(await phaseIs(page, 'validated'), 'validated');
+  await page.click('#order-Download');
+  check(await phaseIs(page, 'the machine holds the task', 20000), 'the machine has checked it by itself, and holds it');
+  await page.click('#order-Execute');
+  check(await phaseIs(page, 'the machine executes'), 'it executes');
+  await sleep(1500);
+  await picture(page, 'machine-light');
+  await show(page, 'site');
+  check(await until(page, () => (document.querySelector('.canvas')?.site?.ghosts.get('measured')?.frames.size ?? 0) > 3), 'its measured place is a ghost in the site');
+  await picture(page, 'machine-site-light', false);
+  await show(page, 'simulate');
+  check(await phaseIs(page, 'executed', 20000), 'to the end');
+  await sleep(500);
+  const apart = await page.evaluate(() => {
+    const { site } = document.querySelector('.canvas');
+    site.scene.updateMatrixWorld(true);
+    const at = (m) => m.frames.get('bucket').getWorldPosition(site.controls.target.clone());
+    return at(site.machine).distanceTo(at(site.ghosts.get('measured')));
+  });
+  const to = await jointAt(page, 0);
+  check(apart < 0.05 && Math.abs(to - from) > 5, `the measured bucket is ${(1e3 * apart).toFixed(1)} mm from the predicted, the swing went from ${from}° to ${to}°`);
+  await page.context().close();
+  await server.end();
+  far.kill('SIGTERM');
+  running.delete(far);
+}
+
 async function door(scenario) {
   const server = await panel(scenario, 'door', '--token-file', settings.token_file);
   const stranger = await open(server.url);
@@ -666,6 +709,9 @@ async function main() {
       const server = await panel(settings.scenario, 'link');
       await linkDown(server);
       await server.end();
+    },
+    machine: async () => {
+      if (settings.ground) await machine();
     },
     door: () => door(settings.scenario),
     all: async () => {

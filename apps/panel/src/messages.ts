@@ -87,6 +87,18 @@ export interface Diagnostics {
   orders: number;
   refused: number;
 }
+/** A machine elsewhere, as the panel hears it. */
+export interface Far {
+  open: boolean;
+  why: string;
+  mode: string;
+  phase: string;
+  fault: string;
+  round_trip_mean_s: number;
+  lost_share: number;
+  state_age_s: number | null;
+  image_age_s: number | null;
+}
 export interface Behaviour {
   phases: { name: string; text: string }[];
   events: { name: string; text: string; order: boolean }[];

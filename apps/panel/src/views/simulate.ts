@@ -5,7 +5,7 @@ import { BehaviourView } from '../behaviour';
 import { card, degrees, h, inMotion, newId, number, write } from '../dom';
 import { Fields } from '../fields';
 import type { Link } from '../link';
-import type { Diagnostics, JointStates, Log, PoseInFrame, Session } from '../messages';
+import type { Diagnostics, Far, JointStates, Log, PoseInFrame, Session } from '../messages';
 import { JOG_KEYS, ORDERS, Orders } from '../orders';
 import { Plot, Store } from '../plot';
 
@@ -128,6 +128,26 @@ function timingCard(link: Link): HTMLElement {
     rows[1].value.parentElement!.className = d.misses > 0 ? 'warn' : '';
   });
   return card('Real time', list);
+}
+
+/** The machine that does what was simulated here, where the panel leads one. */
+function machineCard(link: Link): HTMLElement {
+  const names = ['Link', 'It says', 'Fault', 'Round trip', 'Sent again', 'Its state is', 'Its pictures are'];
+  const rows = names.map((name) => ({ name, value: h('dd', {}, '–') }));
+  const list = h('dl', { class: 'facts' }, ...rows.map((r) => h('div', {}, h('dt', {}, r.name), r.value)));
+  const root = card('Machine elsewhere', list);
+  root.id = 'machine';
+  root.hidden = true;
+  const old = (s: number | null) => (s === null ? 'not known' : `${number(s, 2)} s old`);
+  link.on<Far>('/link', (m) => {
+    root.hidden = false;
+    const values = [m.open ? 'open' : `lost: ${m.why}`, m.phase || '–', m.fault || 'none', `${number(1e3 * m.round_trip_mean_s, 2)} ms`, `${number(100 * m.lost_share, 1)} %`, old(m.state_age_s), old(m.image_age_s)];
+    rows.forEach((r, i) => write(r.value, values[i]));
+    rows[0].value.parentElement!.className = m.open ? '' : 'bad';
+    rows[1].value.parentElement!.className = 'long';
+    rows[2].value.parentElement!.className = m.fault && m.fault !== 'none' ? 'bad' : '';
+  });
+  return root;
 }
 
 // ---- numbers and curves ----
@@ -319,6 +339,6 @@ export function mount(root: HTMLElement, link: Link): void {
   link.onChange(() => fields.update());
   root.append(
     h('div', { class: 'side' }, ordersCard(link), card('Parameters', fields.root), manualCard(link)),
-    h('div', { class: 'wide' }, stateCard(link), new Curves(link, root).root, h('div', { class: 'pair' }, eventsCard(link), timingCard(link))),
+    h('div', { class: 'wide' }, stateCard(link), new Curves(link, root).root, h('div', { class: 'pair' }, eventsCard(link), h('div', { class: 'stack' }, timingCard(link), machineCard(link)))),
   );
 }
