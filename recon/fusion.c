@@ -214,7 +214,7 @@ static void add_residuals(concern *c, const td_frame_cells *frame)
         const td_frame_point *p = &frame->point[m->first + i];
         const td_cell *cell = &c->tile->cell[p->cell];
         const td_frame_cell *seen = &m->cell[m->slot[p->cell] - 1];
-        if (cell->rival_frames > 0) continue;
+        if (cell->rival_frames > 0 || m->measure[m->slot[p->cell] - 1].count == 0) continue;
         const double off = up + (double)p->z - seen->slope[0] * (double)p->x - seen->slope[1] * (double)p->y -
                            (double)cell->now.height;
         c->tally.believed++;
@@ -229,6 +229,7 @@ static void apply_tile(size_t index, void *user)
     const td_fusion_options *o = &w->frame->fusion->options;
     for (size_t i = 0; c->measured && i < c->measured->cells; i++) {
         td_measure m = c->measured->measure[i];
+        if (m.count == 0) continue;
         m.height -= c->tile->base;
         const td_cell_outcome outcome = td_cell_measure(&c->tile->cell[c->measured->cell[i].cell], &m, o);
         c->tally.cells++;
