@@ -214,7 +214,9 @@ static void add_residuals(concern *c, const td_frame_cells *frame)
         const td_frame_point *p = &frame->point[m->first + i];
         const td_cell *cell = &c->tile->cell[p->cell];
         const td_frame_cell *seen = &m->cell[m->slot[p->cell] - 1];
-        if (cell->rival_frames > 0 || m->measure[m->slot[p->cell] - 1].count == 0) continue;
+        if (m->measure[m->slot[p->cell] - 1].count == 0) continue;
+        c->tally.points++;
+        if (cell->rival_frames > 0) continue;
         const double off = up + (double)p->z - seen->slope[0] * (double)p->x - seen->slope[1] * (double)p->y -
                            (double)cell->now.height;
         c->tally.believed++;
@@ -294,7 +296,6 @@ static td_status add(td_fusion *f, td_frame_cells *c, td_fusion_tally *tally, td
 {
     size_t fresh = 0, count;
     TD_TRY(td_frame_sort(c, error));
-    tally->points = c->point_count;
     if (c->point_count) {
         TD_TRY(td_frame_measure(c, error));
         for (size_t i = 0; i < c->tile_count; i++) fresh += !td_tiles_find(f, c->tile[i].x, c->tile[i].y);
@@ -304,6 +305,7 @@ static td_status add(td_fusion *f, td_frame_cells *c, td_fusion_tally *tally, td
         td_status status = gather(list, &count, f, c, error);
         if (status == TD_OK) status = apply(f, c, list, count, error);
         for (size_t i = 0; status == TD_OK && i < count; i++) {
+            tally->points += list[i].tally.points;
             tally->cells += list[i].tally.cells;
             tally->new_cells += list[i].tally.new_cells;
             tally->gated += list[i].tally.gated;
