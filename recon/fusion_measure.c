@@ -39,7 +39,7 @@ static const double EXPECTED_SCATTER = 4;   /* times its variance: chance, and m
 static const double LEAST_FACING = 0.6;     /* of the sine at which level ground is seen */
 static const double LEAST_VARIANCE = 1e-10; /* m^2: (10 um)^2 */
 static const double LEAST_SEEN = 0.4;       /* of the points that a neighbour has */
-static const double EDGE_PATCH = 16;        /* px: half of a window's 9, squared */
+static const double EDGE_PATCH = 12;        /* px: under half of a window's 9, squared */
 
 static double dot(const double a[3], const double b[3])
 {

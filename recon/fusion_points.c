@@ -16,7 +16,7 @@ enum { BORDER = 4 };
 static const double FAR_END = 1;
 /* Of its sigma, which a disparity keeps where those around lie closer to a plane than it says. */
 static const double CALM = 0.85;
-static const double MOST_RELIEF = 1; /* px: larger steps are found out by the check from the right image */
+static const double MOST_RELIEF = 1; /* px: larger steps are fusion_edge.c's */
 
 typedef struct placed {
     int32_t x, y; /* cell of the site */
