@@ -12,7 +12,10 @@
  * k held to 0 … 1. The last line takes the calibration's errors as the same, r = 1, which is safe. For the
  * gain r is less: c1 and c2 hold the error of a slope, and full correlation would always take the smaller
  * one, which is then too small. `share` follows the weight of that place's measurements in the height. With C
- * = 0 this is the Kalman filter of a constant. */
+ * = 0 this is the Kalman filter of a constant.
+ *
+ * What was seen in small part neither begins an estimate nor joins one: it can only bear out a rival that a
+ * better look began. */
 #include <math.h>
 #include <string.h>
 
@@ -81,6 +84,8 @@ static bool contradict(td_cell *cell, const td_measure *m, const td_fusion_optio
 
 td_cell_outcome td_cell_measure(td_cell *cell, const td_measure *m, const td_fusion_options *options)
 {
+    if (m->in_part && !(cell->rival_frames > 0 && agrees(&cell->rival, m, options->gate_sigma)))
+        return TD_CELL_IGNORED;
     cell->passed_frames = 0;
     if (cell->provenance == TD_CELL_UNKNOWN) {
         begin(&cell->now, m);

@@ -39,9 +39,16 @@ typedef struct td_measure {
     double common;   /* m */
     uint32_t place, count;
     double time_s;
+    bool in_part; /* most of the cell is hidden */
 } td_measure;
 
-typedef enum td_cell_outcome { TD_CELL_NEW, TD_CELL_AGREES, TD_CELL_GATED, TD_CELL_RESET } td_cell_outcome;
+typedef enum td_cell_outcome {
+    TD_CELL_NEW,
+    TD_CELL_AGREES,
+    TD_CELL_GATED,
+    TD_CELL_RESET,
+    TD_CELL_IGNORED
+} td_cell_outcome;
 
 td_cell_outcome td_cell_measure(td_cell *cell, const td_measure *m, const td_fusion_options *options);
 /* Looked through by one frame more; true: cleared. */
@@ -127,7 +134,8 @@ typedef struct td_frame_tile {
     td_frame_cell *cell; /* (cells) in the order they were met */
     size_t cells;
     uint16_t *slot;      /* (128,128) index in `cell` + 1; 0: nothing */
-    td_measure *measure; /* (cells); height is above the camera until it is applied; count 0: none */
+    td_measure *measure; /* (cells); height is above the camera until it is applied; count 0: outside of the
+                            map */
 } td_frame_tile;
 
 typedef struct td_frame_cells {

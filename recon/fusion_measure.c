@@ -150,6 +150,15 @@ static bool faces_away(const double g[2], const td_frame_cell *cell, const td_fr
            -LEAST_FACING * way[2] * sqrt(1 + g[0] * g[0] + g[1] * g[1]);
 }
 
+/* Of the map. One cell more is summed to each side, for how much of the map's own is seen; the rest is worked
+ * out from what lies in the map alone. */
+static bool outside(const td_frame_cells *c, const td_frame_tile *tile, int column, int row)
+{
+    const int32_t x = tile->x * TD_TILE_SIDE + column, y = tile->y * TD_TILE_SIDE + row;
+    const int32_t *b = c->fusion->bounds;
+    return x < b[0] || x > b[1] || y < b[2] || y > b[3];
+}
+
 static void find_slope(td_frame_cell *cell, const td_frame_cells *c, const td_frame_tile *tile)
 {
     const int column = cell->cell % TD_TILE_SIDE, row = cell->cell / TD_TILE_SIDE;
@@ -158,7 +167,7 @@ static void find_slope(td_frame_cell *cell, const td_frame_cells *c, const td_fr
     for (int dy = -1; dy <= 1; dy++)
         for (int dx = -1; dx <= 1; dx++) {
             const td_frame_cell *other = neighbour(c, tile, column + dx, row + dy);
-            if (!other) continue;
+            if (!other || outside(c, tile, column + dx, row + dy)) continue;
             const double u = dx * side + other->x, v = dy * side + other->y, h = other->z - cell->z;
             n++;
             x += u, y += v, z += h;
@@ -293,7 +302,9 @@ static void measure_tile(size_t index, void *user)
     }
     for (size_t i = 0; i < tile->cells; i++) {
         tile->measure[i] = measure(c, tile, &tile->cell[i]);
-        if (seen_in_part(c, tile, &tile->cell[i])) tile->measure[i].count = 0;
+        tile->measure[i].in_part = seen_in_part(c, tile, &tile->cell[i]);
+        const int at = tile->cell[i].cell;
+        if (outside(c, tile, at % TD_TILE_SIDE, at / TD_TILE_SIDE)) tile->measure[i].count = 0;
     }
 }
 

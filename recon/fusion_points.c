@@ -66,11 +66,12 @@ typedef struct optics {
     double cell_m, per_cell, base, near_d, far_d; /* disparities of the nearest and farthest depth */
     const double *origin;                         /* m, of the camera */
     double right[3];                              /* of the ray by a pixel to the right */
-    const int32_t *bounds;
+    int32_t bounds[4];                            /* of the map, and a cell more to each side */
 } optics;
 
 static optics optics_of(const td_frame_cells *c)
 {
+    const int32_t *b = c->fusion->bounds;
     const td_depth_camera *camera = c->frame->camera;
     optics o = {.cell_m = c->fusion->options.cell_m,
                 .per_cell = 1 / c->fusion->options.cell_m,
@@ -78,7 +79,7 @@ static optics optics_of(const td_frame_cells *c)
                 .near_d = camera->base_px_m / camera->near_m,
                 .far_d = camera->base_px_m / camera->far_m + FAR_END,
                 .origin = c->site_from_camera.t,
-                .bounds = c->fusion->bounds};
+                .bounds = {b[0] - 1, b[1] + 1, b[2] - 1, b[3] + 1}};
     for (int i = 0; i < 3; i++) o.right[i] = c->to_site[3 * i] / camera->f;
     return o;
 }
