@@ -27,7 +27,8 @@ typedef struct td_cell {
     uint8_t provenance;
     uint8_t rival_frames;  /* that say so, one after another */
     uint8_t passed_frames; /* that looked through the cell, one after another */
-    uint8_t spare[5];
+    uint8_t rival_whole;   /* 1: one of those saw the cell well */
+    uint8_t spare[4];
 } td_cell;
 _Static_assert(sizeof(td_cell) == 64, "cells are stored as they are");
 
