@@ -256,7 +256,8 @@ td_status td_frame_sort(td_frame_cells *cells, td_error *error)
 size_t td_fusion_frame_memory(int width, int height)
 {
     const size_t sorting = sizeof(placed), cells = sizeof(td_frame_cell) + sizeof(td_measure);
-    const size_t first = sorting + sizeof(float), most = first > cells ? first : cells; /* a float of edges */
+    const size_t first = sorting + 2 * sizeof(float); /* edges and relief */
+    const size_t most = first > cells ? first : cells;
     return (size_t)width * (size_t)height * (sizeof(td_frame_point) + most);
 }
 

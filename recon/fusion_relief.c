@@ -30,20 +30,17 @@ typedef struct work {
     int columns, rows;
 } work;
 
-static void add_pixel(sums *to, double x, double y, double z)
+/* Adds a column of blocks, or takes it off again. */
+static void add_column(sums *to, const work *w, int x, int top, int end, double sign)
 {
-    to->n++;
-    to->x += x, to->y += y, to->z += z;
-    to->xx += x * x, to->xy += x * y, to->yy += y * y;
-    to->xz += x * z, to->yz += y * z, to->zz += z * z;
-}
-
-static void add_block(sums *to, const sums *b)
-{
-    to->n += b->n;
-    to->x += b->x, to->y += b->y, to->z += b->z;
-    to->xx += b->xx, to->xy += b->xy, to->yy += b->yy;
-    to->xz += b->xz, to->yz += b->yz, to->zz += b->zz;
+    if (x < 0 || x >= w->columns) return;
+    for (int y = top; y <= end; y++) {
+        const sums *b = &w->block[(size_t)y * (size_t)w->columns + (size_t)x];
+        to->n += sign * b->n;
+        to->x += sign * b->x, to->y += sign * b->y, to->z += sign * b->z;
+        to->xx += sign * b->xx, to->xy += sign * b->xy, to->yy += sign * b->yy;
+        to->xz += sign * b->xz, to->yz += sign * b->yz, to->zz += sign * b->zz;
+    }
 }
 
 static void sum_blocks(size_t row, void *user)
@@ -53,10 +50,13 @@ static void sum_blocks(size_t row, void *user)
     const int first = (int)row * TD_RELIEF_BLOCK, end = first + TD_RELIEF_BLOCK;
     for (int y = first; y < end && y < d->height; y++)
         for (int x = 0; x < d->width; x++) {
-            const float z = d->value[(size_t)y * (size_t)d->width + (size_t)x];
-            if (!isnan(z))
-                add_pixel(&w->block[row * (size_t)w->columns + (size_t)(x / TD_RELIEF_BLOCK)], x, y,
-                          (double)z);
+            const double z = (double)d->value[(size_t)y * (size_t)d->width + (size_t)x];
+            sums *to = &w->block[row * (size_t)w->columns + (size_t)(x / TD_RELIEF_BLOCK)];
+            if (isnan(z)) continue;
+            to->n++;
+            to->x += x, to->y += y, to->z += z;
+            to->xx += (double)x * x, to->xy += (double)x * y, to->yy += (double)y * y;
+            to->xz += x * z, to->yz += y * z, to->zz += z * z;
         }
 }
 
@@ -76,15 +76,13 @@ static double off_plane(const sums *s)
 static void find_relief(size_t row, void *user)
 {
     const work *w = user;
-    const int y = (int)row, top = y < REACH ? 0 : y - REACH,
-              end = y + REACH < w->rows ? y + REACH : w->rows - 1;
+    const int y = (int)row, top = y < REACH ? 0 : y - REACH;
+    const int end = y + REACH < w->rows ? y + REACH : w->rows - 1;
+    sums all = {0};
+    for (int x = 0; x < REACH; x++) add_column(&all, w, x, top, end, 1);
     for (int x = 0; x < w->columns; x++) {
-        const int left = x < REACH ? 0 : x - REACH,
-                  right = x + REACH < w->columns ? x + REACH : w->columns - 1;
-        sums all = {0};
-        for (int v = top; v <= end; v++)
-            for (int u = left; u <= right; u++)
-                add_block(&all, &w->block[(size_t)v * (size_t)w->columns + (size_t)u]);
+        add_column(&all, w, x + REACH, top, end, 1);
+        add_column(&all, w, x - REACH - 1, top, end, -1);
         w->relief[row * (size_t)w->columns + (size_t)x] = (float)off_plane(&all);
     }
 }
