@@ -214,6 +214,9 @@ static void add_residuals(concern *c, const td_frame_cells *frame)
         const td_frame_point *p = &frame->point[m->first + i];
         const td_cell *cell = &c->tile->cell[p->cell];
         const td_frame_cell *seen = &m->cell[m->slot[p->cell] - 1];
+        const td_measure *measured = &m->measure[m->slot[p->cell] - 1];
+        if (measured->count == 0 || measured->in_part) continue;
+        c->tally.points++;
         if (cell->rival_frames > 0) continue;
         const double off = up + (double)p->z - seen->slope[0] * (double)p->x - seen->slope[1] * (double)p->y -
                            (double)cell->now.height;
@@ -229,8 +232,10 @@ static void apply_tile(size_t index, void *user)
     const td_fusion_options *o = &w->frame->fusion->options;
     for (size_t i = 0; c->measured && i < c->measured->cells; i++) {
         td_measure m = c->measured->measure[i];
+        if (m.count == 0) continue;
         m.height -= c->tile->base;
         const td_cell_outcome outcome = td_cell_measure(&c->tile->cell[c->measured->cell[i].cell], &m, o);
+        if (outcome == TD_CELL_IGNORED) continue;
         c->tally.cells++;
         c->tally.new_cells += outcome == TD_CELL_NEW;
         c->tally.gated += outcome == TD_CELL_GATED;
@@ -248,6 +253,12 @@ static const td_frame_tile *measured_in(const td_frame_cells *c, int32_t x, int3
     return at < 0 ? NULL : &c->tile[at];
 }
 
+static bool in_map(const td_fusion *f, const td_frame_tile *tile)
+{
+    const int32_t x = tile->x * TD_TILE_SIDE, y = tile->y * TD_TILE_SIDE, *b = f->bounds;
+    return x + TD_TILE_SIDE > b[0] && x <= b[1] && y + TD_TILE_SIDE > b[2] && y <= b[3];
+}
+
 /* New tiles for what is measured; then all between the camera and the points. */
 static td_status gather(concern *list, size_t *count, td_fusion *f, const td_frame_cells *c, td_error *error)
 {
@@ -255,6 +266,7 @@ static td_status gather(concern *list, size_t *count, td_fusion *f, const td_fra
     int32_t box[4] = {c->box[0], c->box[1], c->box[2], c->box[3]};
     for (size_t i = 0; i < c->tile_count; i++) {
         td_tile *tile;
+        if (!in_map(f, &c->tile[i])) continue;
         const double base = round(c->tile[i].measure[0].height);
         TD_TRY(td_tiles_make(&tile, f, c->tile[i].x, c->tile[i].y, base, error));
     }
@@ -293,16 +305,17 @@ static td_status add(td_fusion *f, td_frame_cells *c, td_fusion_tally *tally, td
 {
     size_t fresh = 0, count;
     TD_TRY(td_frame_sort(c, error));
-    tally->points = c->point_count;
     if (c->point_count) {
         TD_TRY(td_frame_measure(c, error));
-        for (size_t i = 0; i < c->tile_count; i++) fresh += !td_tiles_find(f, c->tile[i].x, c->tile[i].y);
+        for (size_t i = 0; i < c->tile_count; i++)
+            fresh += in_map(f, &c->tile[i]) && !td_tiles_find(f, c->tile[i].x, c->tile[i].y);
         TD_TRY(td_tiles_check_room(f, fresh, error));
         concern *list = malloc((f->tile_count + fresh + 1) * sizeof *list);
         if (!list) return td_fail(error, TD_ERROR_MEMORY, "no memory for a list of tiles");
         td_status status = gather(list, &count, f, c, error);
         if (status == TD_OK) status = apply(f, c, list, count, error);
         for (size_t i = 0; status == TD_OK && i < count; i++) {
+            tally->points += list[i].tally.points;
             tally->cells += list[i].tally.cells;
             tally->new_cells += list[i].tally.new_cells;
             tally->gated += list[i].tally.gated;

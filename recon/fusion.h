@@ -77,7 +77,7 @@ typedef struct td_fusion_frame {
     double time_s; /* NaN: not known */
 } td_fusion_frame;
 typedef struct td_fusion_tally {
-    size_t points;    /* that fell into cells */
+    size_t points;    /* that fell into cells, but those seen in small part only */
     size_t cells;     /* measured by this frame: */
     size_t new_cells; /* of these: not known before */
     size_t gated;     /* of these: contradicted the cell, and not believed yet */

@@ -12,7 +12,10 @@
  * k held to 0 … 1. The last line takes the calibration's errors as the same, r = 1, which is safe. For the
  * gain r is less: c1 and c2 hold the error of a slope, and full correlation would always take the smaller
  * one, which is then too small. `share` follows the weight of that place's measurements in the height. With C
- * = 0 this is the Kalman filter of a constant. */
+ * = 0 this is the Kalman filter of a constant.
+ *
+ * What was seen in small part neither begins a cell nor joins it: it can only be, or bear out, a rival, which
+ * is not believed before a better look bears it out too. */
 #include <math.h>
 #include <string.h>
 
@@ -59,7 +62,7 @@ static bool agrees(const td_estimate *e, const td_measure *m, double gate)
 static void drop_rival(td_cell *cell)
 {
     memset(&cell->rival, 0, sizeof cell->rival);
-    cell->rival_frames = 0;
+    cell->rival_frames = cell->rival_whole = 0;
 }
 
 /* One frame more contradicts the cell; true: it is believed. */
@@ -71,7 +74,10 @@ static bool contradict(td_cell *cell, const td_measure *m, const td_fusion_optio
     } else {
         begin(&cell->rival, m);
         cell->rival_frames = 1;
+        cell->rival_whole = 0;
     }
+    cell->rival_whole |= !m->in_part;
+    if (!cell->rival_whole && cell->rival_frames == options->believe_frames) cell->rival_frames--;
     if (cell->rival_frames < options->believe_frames) return false;
     cell->now = cell->rival;
     cell->provenance = cell->rival_frames > 1 ? TD_CELL_FUSED : TD_CELL_MEASURED;
@@ -79,8 +85,17 @@ static bool contradict(td_cell *cell, const td_measure *m, const td_fusion_optio
     return true;
 }
 
+/* Whether a cell seen in small part is of use. */
+static bool tells(const td_cell *cell, const td_measure *m, const td_fusion_options *options)
+{
+    if (cell->provenance == TD_CELL_UNKNOWN || options->believe_frames < 2) return false;
+    if (agrees(&cell->now, m, options->gate_sigma)) return false;
+    return cell->rival_frames == 0 || agrees(&cell->rival, m, options->gate_sigma);
+}
+
 td_cell_outcome td_cell_measure(td_cell *cell, const td_measure *m, const td_fusion_options *options)
 {
+    if (m->in_part && !tells(cell, m, options)) return TD_CELL_IGNORED;
     cell->passed_frames = 0;
     if (cell->provenance == TD_CELL_UNKNOWN) {
         begin(&cell->now, m);
@@ -137,6 +152,7 @@ bool td_cell_sound(const td_cell *cell, const td_fusion_options *options)
         return false;
     if (!estimate_sound(&cell->now) || isinf(cell->time_s) || memcmp(cell->spare, nothing, sizeof nothing))
         return false;
+    if (cell->rival_whole > (cell->rival_frames > 0)) return false;
     if (cell->rival_frames >= options->believe_frames || cell->passed_frames >= options->believe_frames)
         return false;
     return cell->rival_frames > 0 ? estimate_sound(&cell->rival)

@@ -27,7 +27,8 @@ typedef struct td_cell {
     uint8_t provenance;
     uint8_t rival_frames;  /* that say so, one after another */
     uint8_t passed_frames; /* that looked through the cell, one after another */
-    uint8_t spare[5];
+    uint8_t rival_whole;   /* 1: one of those saw the cell well */
+    uint8_t spare[4];
 } td_cell;
 _Static_assert(sizeof(td_cell) == 64, "cells are stored as they are");
 
@@ -39,9 +40,16 @@ typedef struct td_measure {
     double common;   /* m */
     uint32_t place, count;
     double time_s;
+    bool in_part; /* most of the cell is hidden */
 } td_measure;
 
-typedef enum td_cell_outcome { TD_CELL_NEW, TD_CELL_AGREES, TD_CELL_GATED, TD_CELL_RESET } td_cell_outcome;
+typedef enum td_cell_outcome {
+    TD_CELL_NEW,
+    TD_CELL_AGREES,
+    TD_CELL_GATED,
+    TD_CELL_RESET,
+    TD_CELL_IGNORED
+} td_cell_outcome;
 
 td_cell_outcome td_cell_measure(td_cell *cell, const td_measure *m, const td_fusion_options *options);
 /* Looked through by one frame more; true: cleared. */
@@ -100,7 +108,7 @@ bool td_tile_unpack(td_tile *tile, td_cell *cell, FILE *file, const td_fusion_op
 td_status td_fusion_load_stream(td_fusion **fusion, const td_fusion_options *options, FILE *file,
                                 const char *name, td_error *error);
 
-/* ---- a frame: fusion_edge.c, fusion_points.c, fusion_measure.c ---- */
+/* ---- a frame: fusion_edge.c, fusion_relief.c, fusion_points.c, fusion_measure.c ---- */
 
 typedef struct td_frame_point {
     float x, y, z; /* m: from its cell's centre; above the camera */
@@ -127,7 +135,8 @@ typedef struct td_frame_tile {
     td_frame_cell *cell; /* (cells) in the order they were met */
     size_t cells;
     uint16_t *slot;      /* (128,128) index in `cell` + 1; 0: nothing */
-    td_measure *measure; /* (cells); height is above the camera until it is applied */
+    td_measure *measure; /* (cells); height is above the camera until it is applied; count 0: outside of the
+                            map */
 } td_frame_tile;
 
 typedef struct td_frame_cells {
@@ -143,11 +152,16 @@ typedef struct td_frame_cells {
     size_t tile_count;
     td_frame_point *point; /* by tile, in the order of the pixels */
     size_t point_count;
-    float *edge; /* (height,width) of td_frame_edges, while the points are sorted */
+    float *edge;   /* (height,width) of td_frame_edges, while the points are sorted */
+    float *relief; /* blocks of td_frame_relief, as long */
 } td_frame_cells;
 
 /* Standard deviation, px, that edges near a pixel give its disparity besides its sigma: (height,width). */
 td_status td_frame_edges(float **edge, const td_disparity *disparity, int threads, td_error *error);
+/* Standard deviation, px, of the disparities around off their plane, one for each block of TD_RELIEF_BLOCK x
+ * TD_RELIEF_BLOCK px, those at the right and lower border begun. */
+enum { TD_RELIEF_BLOCK = 4 };
+td_status td_frame_relief(float **relief, const td_disparity *disparity, int threads, td_error *error);
 td_status td_frame_sort(td_frame_cells *cells, td_error *error);
 td_status td_frame_measure(td_frame_cells *cells, td_error *error);
 void td_frame_free(td_frame_cells *cells);

@@ -204,50 +204,39 @@ static td_status copy_all(td_elevation *map, td_elevation *noise, const td_fusio
     return status;
 }
 
-/* Of a cell at the rim, with its known neighbours. */
-typedef struct rim {
-    double step; /* m, height over the neighbours' median */
-    double drop; /* m, height over the lowest of them; at least 0 */
-} rim;
-
-/* Nothing where all neighbours are known. */
-static rim rim_of(const td_elevation *map, int column, int row)
+/* How much lower, m, the mean over a cell at the rim is, where what it does not show of itself lies as low as
+ * the lowest of its known neighbours; 0 where all are known. It does not show what it lacks of the points
+ * that a neighbour has. */
+static double hidden_drop(const td_elevation *map, int column, int row)
 {
-    float known[8];
-    int count = 0, unknown = 0;
+    const size_t here = (size_t)row * (size_t)map->columns + (size_t)column;
+    float lowest = map->height[here];
+    uint32_t most = map->count[here];
+    bool rim = false;
     for (int r = row - 1; r <= row + 1; r++)
         for (int c = column - 1; c <= column + 1; c++) {
-            if ((r == row && c == column) || c < 0 || r < 0 || c >= map->columns || r >= map->rows) continue;
-            float h = map->height[(size_t)r * (size_t)map->columns + (size_t)c];
-            unknown += !isfinite(h);
-            for (int k = 0; isfinite(h) && k < count; k++)
-                if (h < known[k]) {
-                    const float swap = known[k];
-                    known[k] = h;
-                    h = swap;
-                }
-            if (isfinite(h)) known[count++] = h;
+            if (c < 0 || r < 0 || c >= map->columns || r >= map->rows) continue;
+            const size_t at = (size_t)r * (size_t)map->columns + (size_t)c;
+            rim |= !isfinite(map->height[at]);
+            if (!isfinite(map->height[at])) continue;
+            lowest = fminf(lowest, map->height[at]);
+            if (map->count[at] > most) most = map->count[at];
         }
-    if (unknown == 0 || count == 0) return (rim){0, 0};
-    const double own = (double)map->height[(size_t)row * (size_t)map->columns + (size_t)column];
-    return (rim){own - (double)known[count / 2], fmax(0, own - (double)known[0])};
+    if (!rim || most == 0) return 0;
+    return (double)(map->height[here] - lowest) * (1 - (double)map->count[here] / most);
 }
 
-/* A cell at the rim of what was seen is seen in part, and nothing beyond it says how the ground goes on: the
- * truth may be anywhere between it and its neighbours, or, for what is hidden lies lower than what hides it
- * (the lip of a trench, a stone's edge), down to the lowest of them; evenly spread, where these differ by
- * more than their noise: by sqrt(2) sigma from one, by 3 from the lowest of eight. */
+/* A cell at the rim of what was seen is seen in part, and nothing beyond it says how the ground goes on. What
+ * is hidden lies lower than what hides it (the lip of a trench, a stone's edge): where the mean would be
+ * lower by more than noise (2 sigma), 2 sigma reach down to it. */
 static void widen_border(td_elevation *map, td_elevation *noise)
 {
     for (int r = 0; r < map->rows; r++)
         for (int c = 0; c < map->columns; c++) {
             const size_t at = (size_t)r * (size_t)map->columns + (size_t)c;
             if (map->provenance[at] != TD_CELL_MEASURED && map->provenance[at] != TD_CELL_FUSED) continue;
-            const double own = (double)map->sigma[at], variance = own * own;
-            const rim here = rim_of(map, c, r);
-            const double most =
-                fmax(here.step * here.step - 2 * variance, here.drop * here.drop - 9 * variance);
-            const double beyond = sqrt(fmax(0, most) / 12);
+            const double own = (double)map->sigma[at], drop = hidden_drop(map, c, r);
+            const double beyond = sqrt(fmax(0, drop * drop - 4 * own * own)) / 2;
             map->sigma[at] = (float)hypot(own, beyond);
             if (noise) noise->sigma[at] = (float)hypot((double)noise->sigma[at], beyond);
         }

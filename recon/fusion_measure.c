@@ -20,6 +20,8 @@
  * half a window's side, and most are not wrong at all: of n points one patch is taken to be, which moves the
  * mean by its share, EDGE_PATCH / n. So a cell of a few pixels has all of it, where one that holds hundreds
  * keeps the sigma that its other points give it;
+ * They move along their rays: behind a stone's edge the slope is what the wrong points make of it, and the
+ * height is at least as unsure as on level ground;
  * - smear: what the camera sees is turned towards it. Where the plane around is turned less than LEAST_FACING
  * of what level ground is, or away, the points hang in the air between an edge and what lies behind it: a
  * slope along the ray once more. The variance of the heights around counts whole, and where it is clearly
@@ -36,7 +38,8 @@ static const double UNKNOWN_SLOPE = 0.5;    /* standard deviation of a slope tha
 static const double EXPECTED_SCATTER = 4;   /* times its variance: chance, and matching's tails */
 static const double LEAST_FACING = 0.6;     /* of the sine at which level ground is seen */
 static const double LEAST_VARIANCE = 1e-10; /* m^2: (10 um)^2 */
-static const double EDGE_PATCH = 16;        /* px: half of a window's 9, squared */
+static const double LEAST_SEEN = 0.4;       /* of the points that a neighbour has */
+static const double EDGE_PATCH = 12;        /* px: under half of a window's 9, squared */
 
 static double dot(const double a[3], const double b[3])
 {
@@ -147,6 +150,15 @@ static bool faces_away(const double g[2], const td_frame_cell *cell, const td_fr
            -LEAST_FACING * way[2] * sqrt(1 + g[0] * g[0] + g[1] * g[1]);
 }
 
+/* Of the map. One cell more is summed to each side, for how much of the map's own is seen; the rest is worked
+ * out from what lies in the map alone. */
+static bool outside(const td_frame_cells *c, const td_frame_tile *tile, int column, int row)
+{
+    const int32_t x = tile->x * TD_TILE_SIDE + column, y = tile->y * TD_TILE_SIDE + row;
+    const int32_t *b = c->fusion->bounds;
+    return x < b[0] || x > b[1] || y < b[2] || y > b[3];
+}
+
 static void find_slope(td_frame_cell *cell, const td_frame_cells *c, const td_frame_tile *tile)
 {
     const int column = cell->cell % TD_TILE_SIDE, row = cell->cell / TD_TILE_SIDE;
@@ -155,7 +167,7 @@ static void find_slope(td_frame_cell *cell, const td_frame_cells *c, const td_fr
     for (int dy = -1; dy <= 1; dy++)
         for (int dx = -1; dx <= 1; dx++) {
             const td_frame_cell *other = neighbour(c, tile, column + dx, row + dy);
-            if (!other) continue;
+            if (!other || outside(c, tile, column + dx, row + dy)) continue;
             const double u = dx * side + other->x, v = dy * side + other->y, h = other->z - cell->z;
             n++;
             x += u, y += v, z += h;
@@ -240,7 +252,9 @@ static td_measure measure(const td_frame_cells *c, const td_frame_tile *tile, co
     const double one = (along * along + sideways) * depth; /* variance of one point's height */
     const double matching = one * averaged(cell, c) + LEAST_VARIANCE;
     const double patch = fmin(1, EDGE_PATCH / cell->count);
-    const double edges = (along * along + sideways) * cell->edge * patch * patch + cell->smear;
+    const double level = way[2] / seen[2];
+    const double edges =
+        (fmax(along * along, level * level) + sideways) * cell->edge * patch * patch + cell->smear;
     const double scatter = fmax(0, cell->residual / cell->weight - EXPECTED_SCATTER * one);
     const double away = hypot(cell->x, cell->y);
     const double hidden = fmin(1, 2 * away / c->fusion->options.cell_m);
@@ -257,6 +271,22 @@ static td_measure measure(const td_frame_cells *c, const td_frame_tile *tile, co
                         .time_s = c->frame->time_s};
 }
 
+/* A neighbour is not measured, and the cell has far fewer points than another has: most of it is hidden, and
+ * what is hidden may lie anywhere below. It is left for a look from elsewhere. */
+static bool seen_in_part(const td_frame_cells *c, const td_frame_tile *tile, const td_frame_cell *cell)
+{
+    const int column = cell->cell % TD_TILE_SIDE, row = cell->cell / TD_TILE_SIDE;
+    uint32_t most = 0;
+    bool rim = false;
+    for (int dy = -1; dy <= 1; dy++)
+        for (int dx = -1; dx <= 1; dx++) {
+            const td_frame_cell *other = neighbour(c, tile, column + dx, row + dy);
+            rim |= !other;
+            if (other && other->count > most) most = other->count;
+        }
+    return rim && cell->count < LEAST_SEEN * most;
+}
+
 static void measure_tile(size_t index, void *user)
 {
     const job *j = user;
@@ -270,7 +300,12 @@ static void measure_tile(size_t index, void *user)
                            cell->slope[1] * ((double)p->y - cell->y);
         cell->residual += (double)p->weight * off * off;
     }
-    for (size_t i = 0; i < tile->cells; i++) tile->measure[i] = measure(c, tile, &tile->cell[i]);
+    for (size_t i = 0; i < tile->cells; i++) {
+        tile->measure[i] = measure(c, tile, &tile->cell[i]);
+        tile->measure[i].in_part = seen_in_part(c, tile, &tile->cell[i]);
+        const int at = tile->cell[i].cell;
+        if (outside(c, tile, at % TD_TILE_SIDE, at / TD_TILE_SIDE)) tile->measure[i].count = 0;
+    }
 }
 
 td_status td_frame_measure(td_frame_cells *cells, td_error *error)

@@ -9,6 +9,14 @@
 
 /* Fixed, whatever the threads are. */
 enum { STRIPS = 16, MOST_BOX = 1 << 20 };
+/* Half a window: nearer than that to the image's border a window is cut off. */
+enum { BORDER = 4 };
+/* px. Ground beyond the farthest disparity is given that one or a little more, for there is nothing smaller.
+ */
+static const double FAR_END = 1;
+/* Of its sigma, which a disparity keeps where those around lie closer to a plane than it says. */
+static const double CALM = 0.85;
+static const double MOST_RELIEF = 1; /* px: larger steps are fusion_edge.c's */
 
 typedef struct placed {
     int32_t x, y; /* cell of the site */
@@ -58,19 +66,20 @@ typedef struct optics {
     double cell_m, per_cell, base, near_d, far_d; /* disparities of the nearest and farthest depth */
     const double *origin;                         /* m, of the camera */
     double right[3];                              /* of the ray by a pixel to the right */
-    const int32_t *bounds;
+    int32_t bounds[4];                            /* of the map, and a cell more to each side */
 } optics;
 
 static optics optics_of(const td_frame_cells *c)
 {
+    const int32_t *b = c->fusion->bounds;
     const td_depth_camera *camera = c->frame->camera;
     optics o = {.cell_m = c->fusion->options.cell_m,
                 .per_cell = 1 / c->fusion->options.cell_m,
                 .base = camera->base_px_m,
                 .near_d = camera->base_px_m / camera->near_m,
-                .far_d = camera->base_px_m / camera->far_m,
+                .far_d = camera->base_px_m / camera->far_m + FAR_END,
                 .origin = c->site_from_camera.t,
-                .bounds = c->fusion->bounds};
+                .bounds = {b[0] - 1, b[1] + 1, b[2] - 1, b[3] + 1}};
     for (int i = 0; i < 3; i++) o.right[i] = c->to_site[3 * i] / camera->f;
     return o;
 }
@@ -81,28 +90,34 @@ static size_t place_row(placed *to, const td_frame_cells *c, const optics *o, in
     const td_disparity *disparity = c->frame->disparity;
     const size_t width = (size_t)disparity->width, first = (size_t)row * width;
     const double start[2] = {-camera->cx / camera->f, (row - camera->cy) / camera->f};
+    const float *relief =
+        c->relief + (size_t)(row / TD_RELIEF_BLOCK) * ((width + TD_RELIEF_BLOCK - 1) / TD_RELIEF_BLOCK);
     double ray[3];
     size_t count = 0;
     for (int i = 0; i < 3; i++)
         ray[i] = c->to_site[3 * i] * start[0] + c->to_site[3 * i + 1] * start[1] + c->to_site[3 * i + 2];
-    for (size_t column = 0; column < width; column++) {
+    if (row < BORDER || row >= disparity->height - BORDER || disparity->width <= 2 * BORDER) return 0;
+    for (size_t column = BORDER; column < width - BORDER; column++) {
         const double d = (double)disparity->value[first + column];
-        const double sigma = (double)disparity->sigma[first + column];
+        const double told = (double)disparity->sigma[first + column];
         if (disparity->kind[first + column] != TD_DENSE_MATCHED || !(d >= o->far_d && d <= o->near_d) ||
-            !(sigma > 0))
+            !(told > 0))
             continue;
         const double depth = o->base / d, u = (double)column;
         const double x = o->origin[0] + depth * (ray[0] + u * o->right[0]);
         const double y = o->origin[1] + depth * (ray[1] + u * o->right[1]);
         const int32_t cx = floor_of(x * o->per_cell + 0.5), cy = floor_of(y * o->per_cell + 0.5);
         if (cx < o->bounds[0] || cx > o->bounds[1] || cy < o->bounds[2] || cy > o->bounds[3]) continue;
+        const double around = (double)relief[column / TD_RELIEF_BLOCK], held = fmin(around, MOST_RELIEF);
+        const double sigma = fmin(told, fmax(around, CALM * told));
         const double precision = d / (depth * sigma); /* 1 / standard deviation of the depth */
-        const double edge = (double)c->edge[first + column] * depth / d;
+        const double by_edge = (double)c->edge[first + column];
+        const double edge = by_edge * by_edge + fmax(0, held * held - told * told), px = depth / d;
         to[count++] = (placed){cx,
                                cy,
                                {(float)(x - cx * o->cell_m), (float)(y - cy * o->cell_m),
                                 (float)(depth * (ray[2] + u * o->right[2])), (float)(precision * precision),
-                                (float)(edge * edge), 0}};
+                                (float)(edge * px * px), 0}};
     }
     return count;
 }
@@ -225,20 +240,24 @@ td_status td_frame_sort(td_frame_cells *cells, td_error *error)
 {
     sorter s = {.cells = cells};
     td_status status = td_frame_edges(&cells->edge, cells->frame->disparity, cells->threads, error);
+    if (status == TD_OK)
+        status = td_frame_relief(&cells->relief, cells->frame->disparity, cells->threads, error);
     if (status == TD_OK) status = sort(&s, error);
     for (int k = 0; k < STRIPS; k++) {
         free(s.strip[k].point);
         free(s.strip[k].next);
     }
     free(cells->edge);
-    cells->edge = NULL;
+    free(cells->relief);
+    cells->edge = cells->relief = NULL;
     return status;
 }
 
 size_t td_fusion_frame_memory(int width, int height)
 {
     const size_t sorting = sizeof(placed), cells = sizeof(td_frame_cell) + sizeof(td_measure);
-    const size_t first = sorting + sizeof(float), most = first > cells ? first : cells; /* a float of edges */
+    const size_t first = sorting + 2 * sizeof(float); /* edges and relief */
+    const size_t most = first > cells ? first : cells;
     return (size_t)width * (size_t)height * (sizeof(td_frame_point) + most);
 }
 

@@ -1,10 +1,10 @@
 """Proves, on the rendered site whose ground is known everywhere (truth/ground-*.tif, truth/poses.csv, read by GDAL's own Python):
 - a trench dug between two visits: its volume within 2 % and within 2 sigma of the truth over the same cells; in one fused map it is
   believed after N = 3 frames, and no cell that was not seen again is altered in any bit;
-- the machine's arm in view is not in the map: before the trench no cell in its reach stands 5 sigma above the ground, after it, where the
-  trench's lips are seen in part, at most 0.05 % do, none by 5 sigma and 0.3 m (the arm is 1 m and more above the ground); beyond its reach
-  at most 0.03 % of the cells up to 12 m do, at the edges of stones, which matching fattens. A cell's height is that of its square, so the
-  truth is the ground's mean over it;
+- the machine's arm in view is not in the map, nor is anything else above the ground that is not there: no cell of the whole map stands
+  5 sigma above the truth, neither in the arm's reach nor beyond it, before the trench and after. A cell's height is that of its square, so
+  the truth is the ground's mean over it; 68 to 78 % of the cells are within one sigma (stones' edges, where sigma is what may be wrong, are
+  among them), and more than 55 000 are known;
 - a map known before is kept, bit for bit, where nothing is seen;
 - frames whose pose is withheld are found: on the map so far (error within 4 sigma in each of x, y, z and below 10 mm), by tags (same),
   and the method and sigma are in the result; one that cannot be is named and left out.
@@ -142,18 +142,18 @@ def test_trench():
     gone = np.isnan(all_["height"][unseen])
     check(unseen.sum() > 5000 and (kept | gone).all() and gone.mean() < 0.02,
           f"{unseen.sum()} cells not seen again: {kept.sum()} the same bits, {gone.sum()} looked through and cleared")
-    # The arm.
+    # The arm, and all else.
     offsets = (np.arange(8) + 0.5) / 8 * cell - cell / 2
-    for name, map_, frames, most in (("before", b, "1..3", 0), ("after", a, "4..6", 0.0005)):
+    for name, map_, frames in (("before", b, "1..3"), ("after", a, "4..6")):
         told = sum(truth_at(name, x + u, y + v) for u in offsets for v in offsets) / 64
         z = (map_["height"] - told) / map_["sigma"]
         near = np.min([np.hypot(x - bx, y - by) for bx, by in stands(frames)], axis=0) < REACH_M
-        known = np.isfinite(z) & near
-        check((z[known] > 5).sum() <= most * known.sum() and not (map_["height"] - told > 5 * map_["sigma"] + 0.3)[known].any(),
-              f"{name}: no cell of the arm; {(z[known] > 5).sum()} of {known.sum()} cells in its reach are above by 5 sigma, the most by "
-              f"{z[known].max():.1f} sigma")
-        far = np.isfinite(z) & (x < 12) & ~near
-        check((z[far] > 5).sum() <= 0.0003 * (far.sum() + known.sum()), f"  beyond it {(z[far] > 5).sum()} of {far.sum()}")
+        for where, known in (("in its reach", np.isfinite(z) & near), ("beyond it", np.isfinite(z) & ~near)):
+            check(not (z[known] > 5).any(), f"{name}: no cell of the arm, nor other, {where}: {(z[known] > 5).sum()} of {known.sum()} cells are "
+                  f"above by 5 sigma, the most by {z[known].max():.1f} sigma")
+        known = np.isfinite(z)
+        inside = (np.abs(z[known]) <= 1).mean()
+        check(0.68 < inside < 0.78 and known.sum() > 55000, f"  {100 * inside:.1f} % of {known.sum()} cells are within one sigma")
 
 
 def test_prior():

@@ -8,6 +8,10 @@
  * the pixels (the largest of 12 looks, 0.24 px each, is beyond 1.35 px once in 10^7);
  * - pixels without a disparity change nothing but the looks that need them, and are never an edge's;
  * - one thread and three give the same bits.
+ * And of the relief around a pixel (recon/fusion_relief.c), over 20 x 20 px:
+ * - a plane has none, 1e-3 px of rounding; white noise has its own sigma, to 20 % (the mean of 400, to 2 %);
+ * - a step of H through the middle has H / 4: of its variance, H^2 / 4, the plane takes three quarters;
+ * - where fewer than 10 pixels are known it is 0; one thread and three give the same bits.
  * Blind to: how often what is flagged is wrong (rendered ground in test_site_map and apps/test_site). */
 #include "core/random.h"
 #include "recon/fusion_internal.h"
@@ -119,9 +123,49 @@ static void test_missing(void **state)
     free(again);
 }
 
+static float *relief_of(field *f, int threads)
+{
+    td_error error;
+    float *relief = NULL;
+    f->d = (td_disparity){.width = WIDTH, .height = HEIGHT, .value = f->value};
+    check_ok(td_frame_relief(&relief, &f->d, threads, &error), error);
+    return relief;
+}
+
+static void test_relief(void **state)
+{
+    (void)state;
+    enum { COLUMNS = WIDTH / TD_RELIEF_BLOCK, ROWS = HEIGHT / TD_RELIEF_BLOCK };
+    static field f;
+    fill(&f, 0, 0);
+    float *relief = relief_of(&f, 1);
+    for (int i = 0; i < COLUMNS * ROWS; i++) check_less((double)relief[i], 1e-3);
+    free(relief);
+    fill(&f, 0, 0.1);
+    relief = relief_of(&f, 1);
+    for (int i = 0; i < COLUMNS * ROWS; i++) check_near((double)relief[i], 0.1, 0.02);
+    free(relief);
+    fill(&f, 10, 0);
+    relief = relief_of(&f, 3);
+    const int edge = STEP_AT / TD_RELIEF_BLOCK;
+    for (int x = 2; x < COLUMNS - 2; x++) {
+        check_near((double)relief[edge * COLUMNS + x], 2.5, 0.3); /* 8 rows of the 20 are before the step */
+        check_less((double)relief[(edge + 3) * COLUMNS + x], 1e-3);
+    }
+    float *again = relief_of(&f, 1);
+    assert_memory_equal(relief, again, COLUMNS * ROWS * sizeof *relief);
+    free(relief);
+    free(again);
+    for (int i = 9; i < WIDTH * HEIGHT; i++) f.value[i] = NAN;
+    relief = relief_of(&f, 1);
+    for (int i = 0; i < COLUMNS * ROWS; i++) assert_true(relief[i] == 0);
+    free(relief);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {cmocka_unit_test(test_plane), cmocka_unit_test(test_step),
-                                       cmocka_unit_test(test_noise), cmocka_unit_test(test_missing)};
+                                       cmocka_unit_test(test_noise), cmocka_unit_test(test_missing),
+                                       cmocka_unit_test(test_relief)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
