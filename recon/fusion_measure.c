@@ -38,7 +38,8 @@ static const double UNKNOWN_SLOPE = 0.5;    /* standard deviation of a slope tha
 static const double EXPECTED_SCATTER = 4;   /* times its variance: chance, and matching's tails */
 static const double LEAST_FACING = 0.6;     /* of the sine at which level ground is seen */
 static const double LEAST_VARIANCE = 1e-10; /* m^2: (10 um)^2 */
-static const double LEAST_SEEN = 0.4;       /* of the points that a neighbour has */
+static const double LEAST_SEEN = 0.4;       /* of the points that a neighbour has, */
+static const double WHOLLY_SEEN = 0.8;      /* or of those that level ground has there */
 static const double EDGE_PATCH = 12;        /* px: under half of a window's 9, squared */
 
 static double dot(const double a[3], const double b[3])
@@ -271,8 +272,19 @@ static td_measure measure(const td_frame_cells *c, const td_frame_tile *tile, co
                         .time_s = c->frame->time_s};
 }
 
+/* Pixels of a cell of level ground there: f^2 h / depth^3 of its area, seen from a height h (the determinant
+ * of d(u,v)/d(x,y)). */
+static double level_count(const td_frame_cells *c, const td_frame_tile *tile, const td_frame_cell *cell)
+{
+    const double px = c->fusion->options.cell_m * c->frame->camera->f;
+    double way[3], seen[3];
+    way_to(way, seen, cell, c, tile);
+    return px * px * fmax(0, -way[2]) / (seen[2] * seen[2] * seen[2]);
+}
+
 /* A neighbour is not measured, and the cell has far fewer points than another has: most of it is hidden, and
- * what is hidden may lie anywhere below. It is left for a look from elsewhere. */
+ * what is hidden may lie anywhere below. It is left for a look from elsewhere. Beside a wall, whose cells
+ * hold many points each, level ground has far fewer too, and is seen nevertheless. */
 static bool seen_in_part(const td_frame_cells *c, const td_frame_tile *tile, const td_frame_cell *cell)
 {
     const int column = cell->cell % TD_TILE_SIDE, row = cell->cell / TD_TILE_SIDE;
@@ -284,7 +296,7 @@ static bool seen_in_part(const td_frame_cells *c, const td_frame_tile *tile, con
             rim |= !other;
             if (other && other->count > most) most = other->count;
         }
-    return rim && cell->count < LEAST_SEEN * most;
+    return rim && cell->count < LEAST_SEEN * most && cell->count < WHOLLY_SEEN * level_count(c, tile, cell);
 }
 
 static void measure_tile(size_t index, void *user)
