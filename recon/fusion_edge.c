@@ -31,85 +31,115 @@ static const float NEARBY = 0.45f, MOST_BULGE = 3, MOST_BESIDE = 20, CHANCE = 1.
 static const float BY_BULGE = 0.45f;
 static const int ACROSS[WAYS] = {1, 0, 1, 1}, DOWN[WAYS] = {0, 1, 1, -1};
 
+enum { BLOCK = 256 }; /* columns that are worked on at a time */
+
 typedef struct work {
     const td_disparity *disparity;
     float *along; /* (height,width) largest |b| within reach along the row */
     float *edge;  /* (height,width) the result; before that each row's |b| */
 } work;
 
-/* Filled pixels count too: there, it is the background. NaN: none. */
-static float at(const td_disparity *d, int x, int y)
+/* As fmaxf and fminf for a first that is a number, but without a call. */
+static float larger(float a, float b)
 {
-    if (x < 0 || y < 0 || x >= d->width || y >= d->height) return NAN;
-    return d->value[(size_t)y * (size_t)d->width + (size_t)x];
+    return b > a ? b : a;
 }
 
-static float bulge(const td_disparity *d, int x, int y, int w, int way)
+static float smaller(float a, float b)
 {
-    const int dx = w * ACROSS[way], dy = w * DOWN[way];
-    return 2 * at(d, x, y) - at(d, x + dx, y + dy) - at(d, x - dx, y - dy);
+    return b < a ? b : a;
+}
+
+/* The columns, of first <= x < end, that have both neighbours dx away. */
+static void clip(int *first, int *end, int dx, int width)
+{
+    if (*first < dx) *first = dx;
+    if (*end > width - dx) *end = width - dx;
+}
+
+/* Of a row its |b_5|, filled pixels too: there, it is the background. */
+static void find_bulges(float *most, const td_disparity *d, int y)
+{
+    for (int x = 0; x < d->width; x++) most[x] = 0;
+    for (int way = 0; way < WAYS; way++) {
+        const int dx = SHORT * ACROSS[way], dy = SHORT * DOWN[way], v = abs(dy);
+        int first = 0, end = d->width;
+        if (y < v || y + v >= d->height) continue;
+        clip(&first, &end, dx, d->width);
+        const float *here = d->value + (size_t)y * (size_t)d->width;
+        const float *to = here + dy * d->width + dx, *from = here - dy * d->width - dx;
+        for (int x = first; x < end; x++) most[x] = larger(most[x], fabsf(2 * here[x] - to[x] - from[x]));
+    }
+}
+
+/* The largest within REACH, in five steps: of 2, 4, 8, 16 and 17 pixels. */
+static void spread(float *to, const float *from, int first, int count, int width)
+{
+    float m[BLOCK + 2 * REACH];
+    for (int i = 0; i < count + 2 * REACH; i++) {
+        const int x = first + i - REACH;
+        m[i] = x < 0 || x >= width ? 0 : from[x];
+    }
+    for (int i = 0; i < count; i++) to[i] = m[i + 2 * REACH];
+    for (int step = 1, n = count + 2 * REACH; step < 2 * REACH; step *= 2) {
+        n -= step;
+        for (int i = 0; i < n; i++) m[i] = larger(m[i], m[i + step]);
+    }
+    for (int i = 0; i < count; i++) to[i] = larger(to[i], m[i]);
 }
 
 static void look_along(size_t row, void *user)
 {
     const work *w = user;
-    const td_disparity *d = w->disparity;
-    const size_t first = row * (size_t)d->width;
-    float *here = w->edge + first, *along = w->along + first;
-    for (int x = 0; x < d->width; x++) {
-        here[x] = 0;
-        for (int way = 0; way < WAYS; way++)
-            here[x] = fmaxf(here[x], fabsf(bulge(d, x, (int)row, SHORT, way)));
-    }
-    for (int x = 0; x < d->width; x++) {
-        const int end = x + REACH < d->width ? x + REACH : d->width - 1;
-        along[x] = 0;
-        for (int u = x < REACH ? 0 : x - REACH; u <= end; u++) along[x] = fmaxf(along[x], here[u]);
-    }
+    const int width = w->disparity->width;
+    float *here = w->edge + row * (size_t)width, *along = w->along + row * (size_t)width;
+    find_bulges(here, w->disparity, (int)row);
+    for (int x = 0; x < width; x += BLOCK)
+        spread(along + x, here, x, width - x < BLOCK ? width - x : BLOCK, width);
 }
 
-/* Raises `edge` to the pixel's own bulge; returns the largest of those at the smallest distance of each way
- * that both sides are known at. */
-static float own_bulge(float *edge, const td_disparity *d, int x, int y)
+/* Raises `most` to the pixels' own bulges, and `beside` to the largest of those at the smallest distance of
+ * each way that both sides are known at. */
+static void add_own(float *most, float *beside, const td_disparity *d, int y, int start, int stop)
 {
-    const size_t width = (size_t)d->width, here = (size_t)y * width + (size_t)x;
-    const float twice = 2 * d->value[here];
-    float beside = 0, most = *edge;
-    if (isnan(twice)) return 0;
+    const float *here = d->value + (size_t)y * (size_t)d->width;
     for (int way = 0; way < WAYS; way++) {
-        const int dx = SPAN * ACROSS[way], dy = SPAN * DOWN[way];
-        bool first = true;
+        float nearest[BLOCK];
+        for (int i = 0; i < stop - start; i++) nearest[i] = NAN;
         for (int k = 1; k <= SPANS; k++) {
-            const int u = k * dx, v = abs(k * dy);
-            if (x < u || x + u >= d->width || y < v || y + v >= d->height) break;
-            const float *to = &d->value[here] + k * dy * d->width + u,
-                        *from = &d->value[here] - k * dy * d->width - u;
-            const float b = twice - *to - *from;
-            if (isnan(b)) continue;
-            most = fmaxf(most, b);
-            if (first) beside = fmaxf(beside, b);
-            first = false;
+            const int dx = k * SPAN * ACROSS[way], dy = k * SPAN * DOWN[way], v = abs(dy);
+            int first = start, end = stop;
+            if (y < v || y + v >= d->height) break;
+            clip(&first, &end, dx, d->width);
+            const float *to = here + dy * d->width + dx, *from = here - dy * d->width - dx;
+            for (int x = first; x < end; x++) {
+                const float b = 2 * here[x] - to[x] - from[x], old = nearest[x - start];
+                most[x - start] = larger(most[x - start], b);
+                nearest[x - start] = old == old ? old : b;
+            }
         }
+        for (int i = 0; i < stop - start; i++) beside[i] = larger(beside[i], nearest[i]);
     }
-    *edge = most;
-    return beside;
 }
 
 static void look_down(size_t row, void *user)
 {
     const work *w = user;
     const td_disparity *d = w->disparity;
-    const int y = (int)row, end = y + REACH < d->height ? y + REACH : d->height - 1;
-    float *edge = w->edge + row * (size_t)d->width;
-    for (int x = 0; x < d->width; x++) edge[x] = 0;
-    for (int v = y < REACH ? 0 : y - REACH; v <= end; v++) {
-        const float *along = w->along + (size_t)v * (size_t)d->width;
-        for (int x = 0; x < d->width; x++) edge[x] = fmaxf(edge[x], NEARBY * along[x]);
-    }
-    for (int x = 0; x < d->width; x++) {
-        const float beside = own_bulge(&edge[x], d, x, y);
-        const float held = fmaxf(fminf(edge[x], MOST_BULGE), fminf(beside, MOST_BESIDE));
-        edge[x] = BY_BULGE * sqrtf(fmaxf(0, held * held - CHANCE * CHANCE));
+    const int y = (int)row, last = y + REACH < d->height ? y + REACH : d->height - 1;
+    for (int start = 0; start < d->width; start += BLOCK) {
+        const int count = d->width - start < BLOCK ? d->width - start : BLOCK;
+        float most[BLOCK] = {0}, beside[BLOCK] = {0}, *edge = w->edge + row * (size_t)d->width + start;
+        for (int v = y < REACH ? 0 : y - REACH; v <= last; v++) {
+            const float *along = w->along + (size_t)v * (size_t)d->width + start;
+            for (int i = 0; i < count; i++) most[i] = larger(most[i], along[i]);
+        }
+        for (int i = 0; i < count; i++) most[i] *= NEARBY;
+        add_own(most, beside, d, y, start, start + count);
+        for (int i = 0; i < count; i++) {
+            const float held = larger(smaller(most[i], MOST_BULGE), smaller(beside[i], MOST_BESIDE));
+            edge[i] = BY_BULGE * sqrtf(larger(0, held * held - CHANCE * CHANCE));
+        }
     }
 }
 
