@@ -210,19 +210,19 @@ static void add_residuals(concern *c, const td_frame_cells *frame)
 {
     const td_frame_tile *m = c->measured;
     const double up = frame->site_from_camera.t[2] - c->tile->base;
-    for (size_t i = 0; i < m->count; i++) {
-        const td_frame_point *p = &frame->point[m->first + i];
-        const td_cell *cell = &c->tile->cell[p->cell];
-        const td_frame_cell *seen = &m->cell[m->slot[p->cell] - 1];
-        const td_measure *measured = &m->measure[m->slot[p->cell] - 1];
-        if (measured->count == 0 || measured->in_part) continue;
-        c->tally.points++;
-        if (cell->rival_frames > 0) continue;
-        const double off = up + (double)p->z - seen->slope[0] * (double)p->x - seen->slope[1] * (double)p->y -
-                           (double)cell->now.height;
-        c->tally.believed++;
-        c->tally.square_m2 += off * off;
-    }
+    for (const td_frame_run *run = m->run; run < m->run + m->runs; run++)
+        for (const td_frame_point *p = run->point; p < run->point + run->count; p++) {
+            const td_cell *cell = &c->tile->cell[p->cell];
+            const td_frame_cell *seen = &m->cell[m->slot[p->cell] - 1];
+            const td_measure *measured = &m->measure[m->slot[p->cell] - 1];
+            if (measured->count == 0 || measured->in_part) continue;
+            c->tally.points++;
+            if (cell->rival_frames > 0) continue;
+            const double off = up + (double)p->z - seen->slope[0] * (double)p->x -
+                               seen->slope[1] * (double)p->y - (double)cell->now.height;
+            c->tally.believed++;
+            c->tally.square_m2 += off * off;
+        }
 }
 
 static void apply_tile(size_t index, void *user)

@@ -117,6 +117,12 @@ typedef struct td_frame_point {
     uint32_t cell; /* in its tile */
 } td_frame_point;
 
+/* Points that follow one another in a row of pixels and lie in one tile. */
+typedef struct td_frame_run {
+    const td_frame_point *point;
+    size_t count;
+} td_frame_run;
+
 /* What a frame's points say of a cell. */
 typedef struct td_frame_cell {
     double weight, weight2, x, y, z; /* sums; x, y, z weighted, then their means */
@@ -131,13 +137,17 @@ typedef struct td_frame_cell {
 
 typedef struct td_frame_tile {
     int32_t x, y;
-    size_t first, count; /* of its points */
+    const td_frame_run *run; /* (runs) its points, in the order of the pixels */
+    size_t runs, points;
     td_frame_cell *cell; /* (cells) in the order they were met */
     size_t cells;
     uint16_t *slot;      /* (128,128) index in `cell` + 1; 0: nothing */
     td_measure *measure; /* (cells); height is above the camera until it is applied; count 0: outside of the
                             map */
 } td_frame_tile;
+
+/* A frame's rows are worked on in so many parts, whatever the threads are. */
+enum { TD_FRAME_STRIPS = 16 };
 
 typedef struct td_frame_cells {
     const td_fusion *fusion;
@@ -150,7 +160,8 @@ typedef struct td_frame_cells {
     int32_t *at;    /* (box) index in `tile`; -1: none */
     td_frame_tile *tile;
     size_t tile_count;
-    td_frame_point *point; /* by tile, in the order of the pixels */
+    td_frame_run *run;                      /* by tile */
+    td_frame_point *point[TD_FRAME_STRIPS]; /* in the order of the pixels */
     size_t point_count;
     float *edge;   /* (height,width) of td_frame_edges, while the points are sorted */
     float *relief; /* blocks of td_frame_relief, as long */

@@ -67,24 +67,24 @@ static void sum_tile(size_t index, void *user)
 {
     const job *j = user;
     td_frame_tile *tile = &j->cells->tile[index];
-    const size_t most = tile->count < TD_TILE_CELLS ? tile->count : TD_TILE_CELLS;
+    const size_t most = tile->points < TD_TILE_CELLS ? tile->points : TD_TILE_CELLS;
     tile->slot = calloc(TD_TILE_CELLS, sizeof *tile->slot);
     tile->cell = malloc(most * sizeof *tile->cell);
     tile->measure = malloc(most * sizeof *tile->measure);
     j->failed[index] = !tile->slot || !tile->cell || !tile->measure;
     if (j->failed[index]) return;
-    for (size_t i = 0; i < tile->count; i++) {
-        const td_frame_point *p = &j->cells->point[tile->first + i];
-        td_frame_cell *c = cell_for(tile, p->cell);
-        const double w = (double)p->weight;
-        c->weight += w;
-        c->weight2 += w * w;
-        c->x += w * (double)p->x;
-        c->y += w * (double)p->y;
-        c->z += w * (double)p->z;
-        c->edge += w * (double)p->edge;
-        c->count++;
-    }
+    for (const td_frame_run *run = tile->run; run < tile->run + tile->runs; run++)
+        for (const td_frame_point *p = run->point; p < run->point + run->count; p++) {
+            td_frame_cell *c = cell_for(tile, p->cell);
+            const double w = (double)p->weight;
+            c->weight += w;
+            c->weight2 += w * w;
+            c->x += w * (double)p->x;
+            c->y += w * (double)p->y;
+            c->z += w * (double)p->z;
+            c->edge += w * (double)p->edge;
+            c->count++;
+        }
     for (size_t i = 0; i < tile->cells; i++) {
         td_frame_cell *c = &tile->cell[i];
         c->x /= c->weight;
@@ -305,13 +305,13 @@ static void measure_tile(size_t index, void *user)
     const td_frame_cells *c = j->cells;
     td_frame_tile *tile = &c->tile[index];
     for (size_t i = 0; i < tile->cells; i++) find_slope(&tile->cell[i], c, tile);
-    for (size_t i = 0; i < tile->count; i++) {
-        const td_frame_point *p = &c->point[tile->first + i];
-        td_frame_cell *cell = &tile->cell[tile->slot[p->cell] - 1];
-        const double off = (double)p->z - cell->z - cell->slope[0] * ((double)p->x - cell->x) -
-                           cell->slope[1] * ((double)p->y - cell->y);
-        cell->residual += (double)p->weight * off * off;
-    }
+    for (const td_frame_run *run = tile->run; run < tile->run + tile->runs; run++)
+        for (const td_frame_point *p = run->point; p < run->point + run->count; p++) {
+            td_frame_cell *cell = &tile->cell[tile->slot[p->cell] - 1];
+            const double off = (double)p->z - cell->z - cell->slope[0] * ((double)p->x - cell->x) -
+                               cell->slope[1] * ((double)p->y - cell->y);
+            cell->residual += (double)p->weight * off * off;
+        }
     for (size_t i = 0; i < tile->cells; i++) {
         tile->measure[i] = measure(c, tile, &tile->cell[i]);
         tile->measure[i].in_part = seen_in_part(c, tile, &tile->cell[i]);

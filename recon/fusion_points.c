@@ -1,5 +1,5 @@
-/* A frame's disparities as points, sorted by tile: counting sort over strips of rows, so that the order
- * within a tile is that of the pixels at any thread count. */
+/* A frame's disparities as points, and which of them lie in which tile: runs of points that follow one
+ * another, listed by tile in the order of the pixels, which is the same at any thread count. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -7,8 +7,7 @@
 #include "core/parallel.h"
 #include "recon/fusion_internal.h"
 
-/* Fixed, whatever the threads are. */
-enum { STRIPS = 16, MOST_BOX = 1 << 20 };
+enum { MOST_BOX = 1 << 20 };
 /* Half a window: nearer than that to the image's border a window is cut off. */
 enum { BORDER = 4 };
 /* px. Ground beyond the farthest disparity is given that one or a little more, for there is nothing smaller.
@@ -18,27 +17,40 @@ static const double FAR_END = 1;
 static const double CALM = 0.85;
 static const double MOST_RELIEF = 1; /* px: larger steps are fusion_edge.c's */
 
-typedef struct placed {
-    int32_t x, y; /* cell of the site */
-    td_frame_point point;
-} placed;
+typedef struct placed_run {
+    int32_t x, y; /* its tile */
+    size_t first, count;
+} placed_run;
 
 typedef struct strip {
-    placed *point; /* one a pixel at most */
+    td_frame_point *point; /* one a pixel at most */
     size_t count;
+    placed_run *run;
+    size_t runs, room;
     int32_t box[4]; /* tiles */
-    size_t *next;   /* (box of all) where its next point of a tile goes */
+    size_t *next;   /* (box of all) where its next run of a tile goes */
+    bool failed;
 } strip;
 
 typedef struct sorter {
     td_frame_cells *cells;
-    strip strip[STRIPS];
-    bool failed;
+    strip strip[TD_FRAME_STRIPS];
 } sorter;
 
 static int32_t tile_of(int32_t cell)
 {
     return cell >= 0 ? cell / TD_TILE_SIDE : -((TD_TILE_SIDE - 1 - cell) / TD_TILE_SIDE);
+}
+
+/* The largest and the smallest of two numbers, without a call. */
+static double larger(double a, double b)
+{
+    return a > b ? a : b;
+}
+
+static double smaller(double a, double b)
+{
+    return a < b ? a : b;
 }
 
 static int32_t floor_of(double u)
@@ -49,8 +61,8 @@ static int32_t floor_of(double u)
 
 static void rows_of(int *first, int *end, int index, int height)
 {
-    *first = (int)((long)height * index / STRIPS);
-    *end = (int)((long)height * (index + 1) / STRIPS);
+    *first = (int)((long)height * index / TD_FRAME_STRIPS);
+    *end = (int)((long)height * (index + 1) / TD_FRAME_STRIPS);
 }
 
 static void widen(int32_t box[4], int32_t x, int32_t y)
@@ -84,7 +96,22 @@ static optics optics_of(const td_frame_cells *c)
     return o;
 }
 
-static size_t place_row(placed *to, const td_frame_cells *c, const optics *o, int row)
+/* The strip's points go on in the tile (x, y). */
+static bool begin_run(strip *part, int32_t x, int32_t y)
+{
+    if (part->runs == part->room) {
+        const size_t room = part->room ? 2 * part->room : 256;
+        placed_run *more = realloc(part->run, room * sizeof *more);
+        if (!more) return false;
+        part->run = more;
+        part->room = room;
+    }
+    part->run[part->runs++] = (placed_run){x, y, part->count, 0};
+    widen(part->box, x, y);
+    return true;
+}
+
+static bool place_row(strip *part, const td_frame_cells *c, const optics *o, int row)
 {
     const td_depth_camera *camera = c->frame->camera;
     const td_disparity *disparity = c->frame->disparity;
@@ -92,11 +119,11 @@ static size_t place_row(placed *to, const td_frame_cells *c, const optics *o, in
     const double start[2] = {-camera->cx / camera->f, (row - camera->cy) / camera->f};
     const float *relief =
         c->relief + (size_t)(row / TD_RELIEF_BLOCK) * ((width + TD_RELIEF_BLOCK - 1) / TD_RELIEF_BLOCK);
+    int32_t tile[2] = {INT32_MAX, INT32_MAX}; /* first cell of the run's */
     double ray[3];
-    size_t count = 0;
     for (int i = 0; i < 3; i++)
         ray[i] = c->to_site[3 * i] * start[0] + c->to_site[3 * i + 1] * start[1] + c->to_site[3 * i + 2];
-    if (row < BORDER || row >= disparity->height - BORDER || disparity->width <= 2 * BORDER) return 0;
+    if (row < BORDER || row >= disparity->height - BORDER || disparity->width <= 2 * BORDER) return true;
     for (size_t column = BORDER; column < width - BORDER; column++) {
         const double d = (double)disparity->value[first + column];
         const double told = (double)disparity->sigma[first + column];
@@ -108,18 +135,27 @@ static size_t place_row(placed *to, const td_frame_cells *c, const optics *o, in
         const double y = o->origin[1] + depth * (ray[1] + u * o->right[1]);
         const int32_t cx = floor_of(x * o->per_cell + 0.5), cy = floor_of(y * o->per_cell + 0.5);
         if (cx < o->bounds[0] || cx > o->bounds[1] || cy < o->bounds[2] || cy > o->bounds[3]) continue;
-        const double around = (double)relief[column / TD_RELIEF_BLOCK], held = fmin(around, MOST_RELIEF);
-        const double sigma = fmin(told, fmax(around, CALM * told));
+        if (tile[0] > cx || cx - tile[0] >= TD_TILE_SIDE || tile[1] > cy || cy - tile[1] >= TD_TILE_SIDE) {
+            const int32_t tx = tile_of(cx), ty = tile_of(cy);
+            if (!begin_run(part, tx, ty)) return false;
+            tile[0] = tx * TD_TILE_SIDE;
+            tile[1] = ty * TD_TILE_SIDE;
+        }
+        const double around = (double)relief[column / TD_RELIEF_BLOCK], held = smaller(around, MOST_RELIEF);
+        const double sigma = smaller(told, larger(around, CALM * told));
         const double precision = d / (depth * sigma); /* 1 / standard deviation of the depth */
         const double by_edge = (double)c->edge[first + column];
-        const double edge = by_edge * by_edge + fmax(0, held * held - told * told), px = depth / d;
-        to[count++] = (placed){cx,
-                               cy,
-                               {(float)(x - cx * o->cell_m), (float)(y - cy * o->cell_m),
-                                (float)(depth * (ray[2] + u * o->right[2])), (float)(precision * precision),
-                                (float)(edge * px * px), 0}};
+        const double edge = by_edge * by_edge + larger(0, held * held - told * told), px = depth / d;
+        part->point[part->count++] =
+            (td_frame_point){(float)(x - cx * o->cell_m),
+                             (float)(y - cy * o->cell_m),
+                             (float)(depth * (ray[2] + u * o->right[2])),
+                             (float)(precision * precision),
+                             (float)(edge * px * px),
+                             (uint32_t)((cy - tile[1]) * TD_TILE_SIDE + cx - tile[0])};
+        part->run[part->runs - 1].count++;
     }
-    return count;
+    return true;
 }
 
 static void place_strip(size_t index, void *user)
@@ -129,16 +165,8 @@ static void place_strip(size_t index, void *user)
     const optics o = optics_of(s->cells);
     int first, end;
     rows_of(&first, &end, (int)index, s->cells->frame->disparity->height);
-    for (int row = first; row < end; row++)
-        part->count += place_row(part->point + part->count, s->cells, &o, row);
-    for (size_t i = 0; i < part->count; i++) {
-        placed *p = &part->point[i];
-        const int32_t tx = tile_of(p->x), ty = tile_of(p->y);
-        p->point.cell = (uint32_t)((p->y - ty * TD_TILE_SIDE) * TD_TILE_SIDE + p->x - tx * TD_TILE_SIDE);
-        p->x = tx; /* from here on the tile's */
-        p->y = ty;
-        widen(part->box, tx, ty);
-    }
+    for (int row = first; row < end && !part->failed; row++)
+        part->failed = !place_row(part, s->cells, &o, row);
 }
 
 static size_t box_index(const int32_t box[4], int32_t x, int32_t y)
@@ -146,25 +174,7 @@ static size_t box_index(const int32_t box[4], int32_t x, int32_t y)
     return (size_t)(y - box[2]) * (size_t)(box[1] - box[0] + 1) + (size_t)(x - box[0]);
 }
 
-static void count_strip(size_t index, void *user)
-{
-    sorter *s = user;
-    strip *part = &s->strip[index];
-    for (size_t i = 0; i < part->count; i++)
-        part->next[box_index(s->cells->box, part->point[i].x, part->point[i].y)]++;
-}
-
-static void scatter_strip(size_t index, void *user)
-{
-    sorter *s = user;
-    strip *part = &s->strip[index];
-    for (size_t i = 0; i < part->count; i++) {
-        const placed *p = &part->point[i];
-        s->cells->point[part->next[box_index(s->cells->box, p->x, p->y)]++] = p->point;
-    }
-}
-
-/* Tiles in the box's order, and where each strip's points of each begin. */
+/* Tiles in the box's order, and where each strip's runs of each begin. */
 static bool lay_out(sorter *s, size_t box_size)
 {
     td_frame_cells *c = s->cells;
@@ -172,7 +182,7 @@ static bool lay_out(sorter *s, size_t box_size)
     size_t tiles = 0, sum = 0;
     for (size_t i = 0; i < box_size; i++) {
         bool any = false;
-        for (int k = 0; k < STRIPS; k++) any |= s->strip[k].next[i] > 0;
+        for (int k = 0; k < TD_FRAME_STRIPS; k++) any |= s->strip[k].next[i] > 0;
         c->at[i] = any ? (int32_t)tiles++ : -1;
     }
     c->tile = calloc(tiles, sizeof *c->tile);
@@ -183,32 +193,59 @@ static bool lay_out(sorter *s, size_t box_size)
         td_frame_tile *tile = &c->tile[c->at[i]];
         tile->x = c->box[0] + (int32_t)(i % columns);
         tile->y = c->box[2] + (int32_t)(i / columns);
-        tile->first = sum;
-        for (int k = 0; k < STRIPS; k++) {
+        tile->run = c->run + sum;
+        for (int k = 0; k < TD_FRAME_STRIPS; k++) {
             const size_t here = s->strip[k].next[i];
             s->strip[k].next[i] = sum;
             sum += here;
         }
-        tile->count = sum - tile->first;
+        tile->runs = (size_t)(c->run + sum - tile->run);
     }
     return true;
+}
+
+static void list_runs(sorter *s)
+{
+    td_frame_cells *c = s->cells;
+    for (int k = 0; k < TD_FRAME_STRIPS; k++) {
+        strip *part = &s->strip[k];
+        for (size_t i = 0; i < part->runs; i++) {
+            const placed_run *r = &part->run[i];
+            const size_t at = box_index(c->box, r->x, r->y);
+            c->run[part->next[at]++] = (td_frame_run){part->point + r->first, r->count};
+            c->tile[c->at[at]].points += r->count;
+        }
+    }
+}
+
+static td_status place(sorter *s, td_error *error)
+{
+    td_frame_cells *c = s->cells;
+    const td_disparity *d = c->frame->disparity;
+    bool fine = true;
+    for (int k = 0; k < TD_FRAME_STRIPS; k++) {
+        strip *part = &s->strip[k];
+        int first, end;
+        rows_of(&first, &end, k, d->height);
+        memcpy(part->box, (int32_t[4]){INT32_MAX, INT32_MIN, INT32_MAX, INT32_MIN}, sizeof part->box);
+        c->point[k] = part->point =
+            malloc(((size_t)(end - first) * (size_t)d->width + 1) * sizeof *part->point);
+        fine &= part->point != NULL;
+    }
+    if (fine) td_parallel_for(TD_FRAME_STRIPS, c->threads, place_strip, s, NULL, NULL);
+    for (int k = 0; k < TD_FRAME_STRIPS; k++) fine &= !s->strip[k].failed;
+    return fine ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for the points of a frame");
 }
 
 static td_status sort(sorter *s, td_error *error)
 {
     td_frame_cells *c = s->cells;
-    const td_disparity *d = c->frame->disparity;
-    for (int k = 0; k < STRIPS; k++) {
-        int first, end;
-        rows_of(&first, &end, k, d->height);
-        memcpy(s->strip[k].box, (int32_t[4]){INT32_MAX, INT32_MIN, INT32_MAX, INT32_MIN}, sizeof c->box);
-        s->strip[k].point = malloc(((size_t)(end - first) * (size_t)d->width + 1) * sizeof(placed));
-        if (!s->strip[k].point) return td_fail(error, TD_ERROR_MEMORY, "no memory for the points of a frame");
-    }
-    td_parallel_for(STRIPS, c->threads, place_strip, s, NULL, NULL);
+    size_t runs = 0;
+    TD_TRY(place(s, error));
     memcpy(c->box, s->strip[0].box, sizeof c->box);
-    for (int k = 0; k < STRIPS; k++) {
+    for (int k = 0; k < TD_FRAME_STRIPS; k++) {
         c->point_count += s->strip[k].count;
+        runs += s->strip[k].runs;
         if (!s->strip[k].count) continue;
         widen(c->box, s->strip[k].box[0], s->strip[k].box[2]);
         widen(c->box, s->strip[k].box[1], s->strip[k].box[3]);
@@ -223,16 +260,18 @@ static td_status sort(sorter *s, td_error *error)
             size, TD_TILE_SIDE, TD_TILE_SIDE);
     const size_t n = (size_t)size;
     c->at = malloc(n * sizeof *c->at);
-    c->point = malloc(c->point_count * sizeof *c->point);
-    bool fine = c->at && c->point;
-    for (int k = 0; k < STRIPS; k++) fine &= (s->strip[k].next = calloc(n, sizeof *s->strip[k].next)) != NULL;
-    if (fine) {
-        td_parallel_for(STRIPS, c->threads, count_strip, s, NULL, NULL);
-        fine = lay_out(s, n);
+    c->run = malloc(runs * sizeof *c->run);
+    bool fine = c->at && c->run;
+    for (int k = 0; k < TD_FRAME_STRIPS; k++) {
+        strip *part = &s->strip[k];
+        fine &= (part->next = calloc(n, sizeof *part->next)) != NULL;
+        for (size_t i = 0; fine && i < part->runs; i++)
+            part->next[box_index(c->box, part->run[i].x, part->run[i].y)]++;
     }
+    fine = fine && lay_out(s, n);
     if (!fine)
         return td_fail(error, TD_ERROR_MEMORY, "no memory for the %zu points of a frame", c->point_count);
-    td_parallel_for(STRIPS, c->threads, scatter_strip, s, NULL, NULL);
+    list_runs(s);
     return TD_OK;
 }
 
@@ -243,8 +282,8 @@ td_status td_frame_sort(td_frame_cells *cells, td_error *error)
     if (status == TD_OK)
         status = td_frame_relief(&cells->relief, cells->frame->disparity, cells->threads, error);
     if (status == TD_OK) status = sort(&s, error);
-    for (int k = 0; k < STRIPS; k++) {
-        free(s.strip[k].point);
+    for (int k = 0; k < TD_FRAME_STRIPS; k++) {
+        free(s.strip[k].run);
         free(s.strip[k].next);
     }
     free(cells->edge);
@@ -255,10 +294,11 @@ td_status td_frame_sort(td_frame_cells *cells, td_error *error)
 
 size_t td_fusion_frame_memory(int width, int height)
 {
-    const size_t sorting = sizeof(placed), cells = sizeof(td_frame_cell) + sizeof(td_measure);
-    const size_t first = sorting + 2 * sizeof(float); /* edges and relief */
-    const size_t most = first > cells ? first : cells;
-    return (size_t)width * (size_t)height * (sizeof(td_frame_point) + most);
+    /* A pixel may be a run, and a cell, of its own; edges and relief are gone when cells are made. */
+    const size_t sorting = 2 * sizeof(placed_run) + 2 * sizeof(float);
+    const size_t cells = sizeof(td_frame_cell) + sizeof(td_measure);
+    const size_t most = sorting > cells ? sorting : cells;
+    return (size_t)width * (size_t)height * (sizeof(td_frame_point) + sizeof(td_frame_run) + most);
 }
 
 void td_frame_free(td_frame_cells *c)
@@ -269,6 +309,7 @@ void td_frame_free(td_frame_cells *c)
         free(c->tile[i].measure);
     }
     free(c->tile);
+    for (int k = 0; k < TD_FRAME_STRIPS; k++) free(c->point[k]);
     free(c->at);
-    free(c->point);
+    free(c->run);
 }
