@@ -67,19 +67,13 @@ typedef struct picture {
 static td_view_options how_to_see(const machine *m)
 {
     td_view_options o = td_view_options_default();
-    o.threads = 1;
     o.samples = 1; /* a fourth of the time */
     o.gain = 1.6;
-    if (m->wanted < 0 || !m->scene_file) return o;
-    const td_scene_image *i = &m->scene_file->image;
-    o.samples = i->samples;
-    o.blur_px = i->blur_px;
-    o.vignetting = i->vignetting;
-    o.gain = i->gain;
-    o.offset = i->offset;
-    o.read_noise = i->read_noise;
-    o.shot_noise = i->shot_noise;
-    o.seed = (uint64_t)m->o->common->seed;
+    if (m->wanted >= 0 && m->scene_file) {
+        o = td_view_options_of_scene(&m->scene_file->image);
+        o.seed = (uint64_t)m->o->common->seed;
+    }
+    o.threads = 1;
     return o;
 }
 
