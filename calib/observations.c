@@ -393,7 +393,7 @@ static td_status observe_images(td_observations *o, const td_dataset *dataset,
     else
         status = td_parallel_for(slots, options->threads, observe_one, &work, options->progress,
                                  "finding the target");
-    if (status == TD_ERROR_CANCELLED) status = td_fail(error, status, "cancelled while finding the target");
+    if (status == TD_ERROR_CANCELLED) status = td_fail(error, status, "interrupted while finding the target");
     if (status == TD_OK) status = check_images(&work, error);
     free(work.error);
     free(work.size);

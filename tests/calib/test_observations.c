@@ -597,7 +597,7 @@ static void test_cancel(void **state)
     td_progress progress = {stop_after_two, &calls};
     td_observe_options options = {.threads = 1, .progress = &progress};
     td_observations *o = NULL;
-    check_fails(td_observe(&o, d, &options, &error), TD_ERROR_CANCELLED, error, "cancelled");
+    check_fails(td_observe(&o, d, &options, &error), TD_ERROR_CANCELLED, error, "interrupted");
     assert_null(o);
     assert_int_equal(calls, 2);
     td_dataset_free(&d);
