@@ -182,11 +182,13 @@ static void send_pictures(machine *m, const char *bytes, size_t size)
     }
 }
 
-td_status machine_look(machine *m, td_error *error)
+/* No picture is worth the machine: what cannot be taken is told, and left out. */
+void machine_look(machine *m)
 {
     size_t size = 0;
+    td_error error = {0};
     if (m->look) {
-        if (!aside_poll(m->look)) return TD_OK;
+        if (!aside_poll(m->look)) return;
         const char *bytes = aside_bytes(m->look, &size);
         if (bytes)
             send_pictures(m, bytes, size);
@@ -196,10 +198,10 @@ td_status machine_look(machine *m, td_error *error)
     }
     const double now = td_machine_now_s();
     const bool asked = m->wanted >= 0, due = m->o->image_hz > 0 && now >= m->next_look_s;
-    if (!m->rig || !m->pictures || !(due || asked) || td_link_unsent(m->pictures)) return TD_OK;
+    if (!m->rig || !m->pictures || !(due || asked) || td_link_unsent(m->pictures)) return;
     m->next_look_s = now + 1 / m->o->image_hz;
     m->looks++;
-    TD_TRY(aside_begin(&m->look, work, m, asked ? 0 : 10, error));
+    if (aside_begin(&m->look, work, m, asked ? 0 : 10, &error) != TD_OK)
+        audit_line(&m->audit, "trouble", NULL, "no image: %s", error.message);
     m->wanted = -1; /* it sees what was wanted as it began */
-    return TD_OK;
 }

@@ -112,6 +112,7 @@ static td_status reach(rehearse *r, td_error *error)
     const double until = td_machine_now_s() + OPEN_S;
     while (!is_there(f) || f->now.state.mode == TD_MODE_CHECKING) {
         hear(f);
+        if (terminal_interrupted()) return td_fail(error, TD_ERROR_CANCELLED, "interrupted");
         if (td_machine_now_s() > until)
             return td_fail(error, TD_ERROR_IO, "the machine is not there: %s", f->now.why);
         nap();
