@@ -4,8 +4,8 @@
 #include <stdlib.h>
 
 #include "calib/calibrate_internal.h"
-#include "core/stereo.h"
 #include "core/parallel.h"
+#include "core/stereo.h"
 
 enum { MOST_FOLDS = 30 };
 
