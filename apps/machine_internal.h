@@ -136,14 +136,14 @@ typedef struct machine {
 
 /* machine_serve.c: the end of a period: shows the state, hears everyone until the next is due. */
 /* `task`: under way; NULL: none. */
-td_status machine_tick(machine *m, td_phase phase, td_fault fault, const task_outside *task, td_error *error);
+void machine_tick(machine *m, td_phase phase, td_fault fault, const task_outside *task);
 bool machine_is_over(const machine *m);
 
 /* machine_links.c */
 td_status machine_links_open(machine *m, td_error *error);
 void machine_links_close(machine *m);
 /* What there is to hear, for at most `seconds`. */
-td_status machine_hear(machine *m, double seconds, td_error *error);
+void machine_hear(machine *m, double seconds);
 void machine_tell(machine *m, const td_machine_message *message, bool may_drop);
 void machine_answer(machine *m, td_machine_kind kind, td_machine_order order, bool accepted,
                     const char *format, ...) TD_PRINTF(5, 6);
@@ -156,7 +156,7 @@ uint32_t machine_orders(machine *m);
 /* What the reaction said of them. */
 void machine_answer_orders(machine *m, const td_behaviour_outputs *out);
 /* The check of a task: begun, ended, given up. */
-td_status machine_go_on_checking(machine *m, td_error *error);
+void machine_go_on_checking(machine *m);
 /* One reaction of the behaviour, out of a session. */
 void machine_react(machine *m, uint32_t events);
 
@@ -171,6 +171,6 @@ void machine_truth_free(machine *m);
 /* machine_look.c */
 td_status machine_look_begin(machine *m, td_error *error);
 void machine_look_end(machine *m);
-td_status machine_look(machine *m, td_error *error);
+void machine_look(machine *m);
 
 #endif

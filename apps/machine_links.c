@@ -40,13 +40,13 @@ td_status machine_link_options(td_link_options *options, uint8_t token[TD_LINK_T
 td_status machine_links_open(machine *m, td_error *error)
 {
     uint8_t token[TD_LINK_TOKEN_MAX];
-    td_link_options o;
-    TD_TRY(machine_link_options(&o, token, m->o, error));
-    if (o.tls && (!o.certificate || !o.key))
-        return td_fail(error, TD_ERROR_ARGUMENT, "--cert and --key go together, and make TLS");
+    td_link_options o = {0};
+    td_status status = machine_link_options(&o, token, m->o, error);
+    if (status == TD_OK && o.tls && (!o.certificate || !o.key))
+        status = td_fail(error, TD_ERROR_ARGUMENT, "--cert and --key go together, and make TLS");
     o.any_channel = true;
     o.unsent_max = (size_t)TD_MACHINE_MAX_IMAGE + 65536;
-    const td_status status = td_link_listen(&m->listener, m->o->listen, &o, error);
+    if (status == TD_OK) status = td_link_listen(&m->listener, m->o->listen, &o, error);
     OPENSSL_cleanse(token, sizeof token);
     return status;
 }
@@ -270,7 +270,7 @@ static void note_starving(machine *m, double now_s, double meant_s)
     m->worked_s = worked_s;
 }
 
-td_status machine_hear(machine *m, double seconds, td_error *error)
+void machine_hear(machine *m, double seconds)
 {
     if (seconds > 0) wait_for_any(m, seconds);
     const double now = td_machine_now_s();
@@ -280,5 +280,5 @@ td_status machine_hear(machine *m, double seconds, td_error *error)
         if (m->pending[i]) hear_stranger(m, &m->pending[i], now);
     if (m->master) hear_master(m, now);
     if (m->pictures) hear_pictures(m, now);
-    return machine_look(m, error);
+    machine_look(m);
 }

@@ -67,19 +67,13 @@ typedef struct picture {
 static td_view_options how_to_see(const machine *m)
 {
     td_view_options o = td_view_options_default();
-    o.threads = 1;
     o.samples = 1; /* a fourth of the time */
     o.gain = 1.6;
-    if (m->wanted < 0 || !m->scene_file) return o;
-    const td_scene_image *i = &m->scene_file->image;
-    o.samples = i->samples;
-    o.blur_px = i->blur_px;
-    o.vignetting = i->vignetting;
-    o.gain = i->gain;
-    o.offset = i->offset;
-    o.read_noise = i->read_noise;
-    o.shot_noise = i->shot_noise;
-    o.seed = (uint64_t)m->o->common->seed;
+    if (m->wanted >= 0 && m->scene_file) {
+        o = td_view_options_of_scene(&m->scene_file->image);
+        o.seed = (uint64_t)m->o->common->seed;
+    }
+    o.threads = 1;
     return o;
 }
 
@@ -188,11 +182,13 @@ static void send_pictures(machine *m, const char *bytes, size_t size)
     }
 }
 
-td_status machine_look(machine *m, td_error *error)
+/* No picture is worth the machine: what cannot be taken is told, and left out. */
+void machine_look(machine *m)
 {
     size_t size = 0;
+    td_error error = {0};
     if (m->look) {
-        if (!aside_poll(m->look)) return TD_OK;
+        if (!aside_poll(m->look)) return;
         const char *bytes = aside_bytes(m->look, &size);
         if (bytes)
             send_pictures(m, bytes, size);
@@ -202,10 +198,10 @@ td_status machine_look(machine *m, td_error *error)
     }
     const double now = td_machine_now_s();
     const bool asked = m->wanted >= 0, due = m->o->image_hz > 0 && now >= m->next_look_s;
-    if (!m->rig || !m->pictures || !(due || asked) || td_link_unsent(m->pictures)) return TD_OK;
+    if (!m->rig || !m->pictures || !(due || asked) || td_link_unsent(m->pictures)) return;
     m->next_look_s = now + 1 / m->o->image_hz;
     m->looks++;
-    TD_TRY(aside_begin(&m->look, work, m, asked ? 0 : 10, error));
+    if (aside_begin(&m->look, work, m, asked ? 0 : 10, &error) != TD_OK)
+        audit_line(&m->audit, "trouble", NULL, "no image: %s", error.message);
     m->wanted = -1; /* it sees what was wanted as it began */
-    return TD_OK;
 }

@@ -350,9 +350,10 @@ static td_status tell(const master *m, bool refused, td_error *error)
     if (m->o->common->json) {
         json_t *result = result_of(m, refused);
         char *text = result ? json_dumps(result, JSON_INDENT(2) | JSON_PRESERVE_ORDER) : NULL;
-        if (text) puts(text);
+        const bool told = text && puts(text) >= 0;
         free(text);
         json_decref(result);
+        if (!told) return td_fail(error, TD_ERROR_IO, "the result cannot be told as JSON");
     } else if (!m->o->common->quiet) {
         table_of(m);
     }

@@ -17,8 +17,9 @@ static td_status add_file(td_hash *hash, const char *path, td_error *error)
     return TD_OK;
 }
 
-static td_status add_all(td_hash *hash, const scenario *s, td_error *error)
+static td_status add_all(td_hash *hash, const void *user, td_error *error)
 {
+    const scenario *s = user;
     char path[sizeof s->robot_path + 8], text[800];
     const td_machine_options *o = &s->options;
     TD_TRY(add_file(hash, s->robot_path, error));
@@ -41,10 +42,5 @@ static td_status add_all(td_hash *hash, const scenario *s, td_error *error)
 
 td_status machine_model(char hex[TD_HASH_HEX_SIZE], const scenario *s, td_error *error)
 {
-    td_hash *hash = NULL;
-    TD_TRY(td_hash_new(&hash, error));
-    const td_status status = add_all(hash, s, error);
-    if (status == TD_OK) return td_hash_finish(hex, &hash, error);
-    td_hash_free(&hash);
-    return status;
+    return td_hash_make(hex, add_all, s, error);
 }

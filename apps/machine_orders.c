@@ -178,14 +178,20 @@ static td_status begin_check(machine *m, td_error *error)
     return machine_check_begin(&m->check, error);
 }
 
+/* The task is not held. */
+static void end_check(machine *m, const char *why)
+{
+    machine_react(m, TD_EVENT_BIT(TD_EVENT_ABORT));
+    refuse_task(m, why);
+}
+
 static void judge(machine *m, const machine_verdict *v)
 {
     char why[600];
     const bool agrees =
         !v->why[0] && machine_agrees(why, sizeof why, m->s, m->task, &m->vouched, &v->validation);
     if (!agrees) {
-        machine_react(m, TD_EVENT_BIT(TD_EVENT_ABORT));
-        refuse_task(m, v->why[0] ? v->why : why);
+        end_check(m, v->why[0] ? v->why : why);
         return;
     }
     static const td_event steps[] = {TD_EVENT_ENDED, TD_EVENT_VALIDATE, TD_EVENT_DOWNLOAD,
@@ -198,16 +204,19 @@ static void judge(machine *m, const machine_verdict *v)
         refuse_task(m, td_phase_text(m->logic.phase));
 }
 
-td_status machine_go_on_checking(machine *m, td_error *error)
+void machine_go_on_checking(machine *m)
 {
     machine_verdict v;
-    if (m->to_check && m->logic.phase == TD_PHASE_SIMULATING) TD_TRY(begin_check(m, error));
+    td_error error = {0};
+    if (m->to_check && m->logic.phase == TD_PHASE_SIMULATING && begin_check(m, &error) != TD_OK) {
+        end_check(m, error.message);
+        return;
+    }
     const bool given_up = (m->check.work && m->logic.phase != TD_PHASE_SIMULATING) ||
                           (m->to_check && (m->logic.phase == TD_PHASE_FAILED || !m->master));
     if (given_up) {
         refuse_task(m, "it was stopped while it was checked");
-        return TD_OK;
+        return;
     }
     if (m->check.work && machine_check_poll(&v, &m->check)) judge(m, &v);
-    return TD_OK;
 }

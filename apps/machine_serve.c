@@ -122,7 +122,7 @@ static void watch_stop(machine *m)
 
 /* ---- time ---- */
 
-td_status machine_tick(machine *m, td_phase phase, td_fault fault, const task_outside *task, td_error *error)
+void machine_tick(machine *m, td_phase phase, td_fault fault, const task_outside *task)
 {
     show_phase(m, phase, fault);
     watch_stop(m);
@@ -132,7 +132,7 @@ td_status machine_tick(machine *m, td_phase phase, td_fault fault, const task_ou
     double left = m->tick_s - td_machine_now_s();
     const bool had = m->master != NULL;
     do { /* a master who is lost is not waited for */
-        TD_TRY(machine_hear(m, fmax(0, fmin(left, m->o->period_s / LOOKS_A_PERIOD)), error));
+        machine_hear(m, fmax(0, fmin(left, m->o->period_s / LOOKS_A_PERIOD)));
         left = m->tick_s - td_machine_now_s();
     } while (left > 0 && !terminal_interrupted() && !(had && !m->master));
     if (left < -m->s->period_s) m->misses++;
@@ -140,7 +140,6 @@ td_status machine_tick(machine *m, td_phase phase, td_fault fault, const task_ou
         audit_line(&m->audit, "late", NULL, "%.2f s behind; time goes on from here", -left);
         m->tick_s = td_machine_now_s();
     }
-    return TD_OK;
 }
 
 bool machine_is_over(const machine *m)
@@ -154,13 +153,14 @@ bool machine_is_over(const machine *m)
 
 static td_status outside(void *user, task_outside *o, td_error *error)
 {
+    (void)error;
     machine *m = user;
     const bool had = m->master != NULL;
     m->state = *o->state;
     machine_answer_orders(m, o->last);
     if (o->phase == TD_PHASE_FAILED && is_moving_phase(m->shown) && !m->stop.under_way)
         begin_stop(m, 0, td_fault_text(o->fault));
-    TD_TRY(machine_tick(m, o->phase, o->fault, o, error));
+    machine_tick(m, o->phase, o->fault, o);
     o->links_open = m->master != NULL;
     o->events = machine_orders(m);
     if (o->phase == TD_PHASE_FAILED) m->ends = false; /* a farewell is no Reinit */
@@ -263,7 +263,7 @@ static uint32_t gather(machine *m)
 static td_status one_period(machine *m, td_error *error)
 {
     const td_phase before = m->logic.phase;
-    TD_TRY(machine_tick(m, before, m->logic.fault, NULL, error));
+    machine_tick(m, before, m->logic.fault, NULL);
     const uint32_t events = gather(m);
     if ((events & TD_EVENT_BIT(TD_EVENT_EXECUTE)) && before == TD_PHASE_DOWNLOADED && m->master)
         return execute(m, error);
@@ -271,9 +271,8 @@ static td_status one_period(machine *m, td_error *error)
     machine_answer_orders(m, &m->out);
     if (before == TD_PHASE_MANUAL && m->logic.phase != TD_PHASE_MANUAL)
         begin_stop(m, m->master ? 0 : m->silent_s, m->master ? "ordered" : "the master is lost");
-    TD_TRY(machine_go_on_checking(m, error));
-    TD_TRY(move(m, error));
-    return TD_OK;
+    machine_go_on_checking(m);
+    return move(m, error);
 }
 
 static td_status run(machine *m, td_error *error)

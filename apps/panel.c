@@ -172,7 +172,7 @@ typedef struct panel {
     panel_link link;
     panel_counts counts;
     uint64_t dropped;
-    panel_machine *machine;
+    far_machine *machine;
 } panel;
 
 /* ---- the result ---- */
@@ -322,9 +322,9 @@ static td_status serve(panel *p, job *j)
         if (insecure && !panel_door_is_local(p->options.host))
             td_log_write(&j->log, TD_LOG_WARNING, "panel",
                          "without TLS: the token and all orders can be read and changed on their way");
-        if (p->machine) status = panel_machine_start(p->machine, p->link.wake, p->link.user, &j->error);
+        if (p->machine) status = far_machine_start(p->machine, p->link.wake, p->link.user, &j->error);
         if (status == TD_OK) status = lead(p, j);
-        panel_machine_stop(p->machine);
+        far_machine_stop(p->machine);
         const td_status finished = panel_server_finish(&server, &p->counts, p->run.input.end, p->run.time_s,
                                                        status == TD_OK ? &j->error : NULL);
         if (status == TD_OK) status = finished;
@@ -343,8 +343,8 @@ static td_status find_machine(panel *p, td_error *error)
     if (!s->has_ground)
         return td_fail(error, TD_ERROR_DATA, "%s: a machine's scenario has a ground", s->path);
     TD_TRY(machine_model(model, s, error));
-    TD_TRY(panel_machine_new(&p->machine, &far, model, s->robot->joint_count, fmax(0.5, 6 * s->period_s),
-                             error));
+    TD_TRY(
+        far_machine_new(&p->machine, &far, model, s->robot->joint_count, fmax(0.5, 6 * s->period_s), error));
     p->options.machine = p->machine;
     return TD_OK;
 }
@@ -373,7 +373,7 @@ int main(int argc, char **argv)
                      td_fault_text(p->run.fault));
     code = job_end(&j, status, broke);
     if (p) {
-        panel_machine_free(&p->machine);
+        far_machine_free(&p->machine);
         scenario_free(&p->scenario);
         task_run_free(&p->run);
     }

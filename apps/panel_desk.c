@@ -1,9 +1,7 @@
-/* Where clients' requests are judged: subscriptions, parameters, services; who holds control; the audit log.
+/* Where clients' requests are judged: subscriptions, services, the session's answers; the audit log.
  *
- * One operator holds control, the others watch. It is taken (TakeControl) where nobody holds it, handed over
- * (ReleaseControl with `to`), given back (ReleaseControl, while nothing moves), and lost with its connection:
- * then the machine is stopped (UserStop). Each order is written into the audit log before it is passed on,
- * and so is the answer; what cannot be written is refused. */
+ * Each order is written into the audit log before it is passed on, and so is the answer; what cannot be
+ * written is refused. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -11,10 +9,10 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "apps/panel_internal.h"
+#include "apps/panel_desk_internal.h"
 #include "core/document.h"
 
-enum { MOST_FAULTS = 20, PENDING = 128 };
+enum { MOST_FAULTS = 20 };
 
 #define OBJECT(fields) "{\"type\":\"object\",\"additionalProperties\":false,\"properties\":{" fields "}}"
 #define NOTHING OBJECT("")
@@ -61,24 +59,6 @@ static const service services[] = {
 };
 enum { SERVICES = sizeof services / sizeof *services, TAKE = 0, RELEASE = 1 };
 
-/* An order that the session has not answered. */
-typedef struct pending {
-    uint64_t order, client;
-    uint32_t service, call; /* from 1; 0: a parameter */
-    int parameter;
-    double number;
-    char id[PANEL_ID_SIZE];
-} pending;
-
-struct panel_desk {
-    panel_desk_options o;
-    uint64_t operator_number, orders;
-    td_phase phase;
-    char session[48]; /* this run of the server */
-    pending pending[PENDING];
-    size_t pending_count;
-};
-
 panel_desk *panel_desk_new(const panel_desk_options *options)
 {
     panel_desk *d = calloc(1, sizeof *d);
@@ -116,19 +96,19 @@ static void close_for(panel_client *client, const char *why)
     if (!client->why[0]) snprintf(client->why, sizeof client->why, "%s", why);
 }
 
-static void reply(panel_client *client, panel_bytes bytes)
+void desk_reply(panel_client *client, panel_bytes bytes)
 {
     if (!panel_reply_add(&client->box, bytes)) close_for(client, "its answers pile up unread");
 }
 
-static json_t *about(const panel_client *client)
+json_t *desk_about(const panel_client *client)
 {
     return json_pack("{s:I, s:s}", "client", (json_int_t)client->number, "peer", client->peer);
 }
 
 void panel_desk_refuse(panel_desk *d, panel_client *client, const char *what, const char *why)
 {
-    json_t *fields = about(client);
+    json_t *fields = desk_about(client);
     d->o.counts->refused++;
     json_object_set_new(fields, "request", json_string(what));
     json_object_set_new(fields, "why", json_string(why));
@@ -142,7 +122,7 @@ static void fault(panel_desk *d, panel_client *client, const char *what, const c
 {
     d->o.counts->faults++;
     panel_desk_refuse(d, client, what, why);
-    reply(client, panel_status(PANEL_ERROR, why));
+    desk_reply(client, panel_status(PANEL_ERROR, why));
     if (++client->faults >= MOST_FAULTS) close_for(client, "too many messages that are none");
 }
 
@@ -158,123 +138,27 @@ void panel_desk_greet(panel_desk *d, panel_client *client)
     for (int i = 0; i < SERVICES; i++) list[i] = services[i].about;
     for (size_t i = 0; i < benches && i < MOST - SERVICES; i++) list[SERVICES + i] = bench[i].about;
     snprintf(name, sizeof name, "teledimos panel: %s", d->o.scenario->name);
-    reply(client, panel_server_info(name, d->session, client->number));
-    reply(client, panel_advertise(d->o.channel, d->o.channel_count));
-    reply(client, panel_advertise_services(list, SERVICES + benches));
-}
-
-/* ---- control ---- */
-
-static bool moves(td_phase phase)
-{
-    return phase == TD_PHASE_SIMULATING || phase == TD_PHASE_SIMULATION_PAUSED ||
-           phase == TD_PHASE_EXECUTING || phase == TD_PHASE_EXECUTION_PAUSED ||
-           phase == TD_PHASE_DOWNLOADING || phase == TD_PHASE_MANUAL;
-}
-
-static void tell_one(panel_client *client, void *text)
-{
-    reply(client, panel_status(PANEL_INFO, text));
-}
-
-static void give_control(panel_desk *d, uint64_t to)
-{
-    char text[120];
-    d->operator_number = to;
-    if (to)
-        snprintf(text, sizeof text, "client %llu holds control", (unsigned long long)to);
-    else
-        snprintf(text, sizeof text, "nobody holds control");
-    d->o.each(d->o.user, tell_one, text);
-}
-
-static bool note_control(panel_desk *d, const panel_client *client, const char *how, uint64_t to)
-{
-    json_t *fields = about(client);
-    json_object_set_new(fields, "how", json_string(how));
-    json_object_set_new(fields, "operator", json_integer((json_int_t)to));
-    return audit_write(d->o.audit, "control", fields);
-}
-
-static void answer_control(panel_desk *d, panel_client *client, const panel_request *r)
-{
-    reply(client, panel_response(r->service, r->call,
-                                 json_pack("{s:I}", "operator", (json_int_t)d->operator_number)));
-}
-
-static void refuse_call(panel_desk *d, panel_client *client, const panel_request *r, const char *why)
-{
-    const bool known = r->service >= 1 && r->service <= SERVICES;
-    panel_desk_refuse(d, client, known ? services[r->service - 1].about.name : "a service call", why);
-    reply(client, panel_failure(r->service, r->call, why));
-}
-
-static void take_control(panel_desk *d, panel_client *client, const panel_request *r)
-{
-    char text[200];
-    panel_client *holder = d->operator_number ? d->o.find(d->o.user, d->operator_number) : NULL;
-    if (holder && holder != client) {
-        snprintf(text, sizeof text,
-                 "client %llu asks for control: ReleaseControl with to: %llu hands it over",
-                 (unsigned long long)client->number, (unsigned long long)client->number);
-        reply(holder, panel_status(PANEL_WARNING, text));
-        snprintf(text, sizeof text, "client %llu (%s) holds control; it was told that you ask for it",
-                 (unsigned long long)holder->number, holder->peer);
-        refuse_call(d, client, r, text);
-        return;
-    }
-    if (!note_control(d, client, "taken", client->number)) {
-        refuse_call(d, client, r, "the audit log cannot be written");
-        return;
-    }
-    give_control(d, client->number);
-    answer_control(d, client, r);
-}
-
-static void release_control(panel_desk *d, panel_client *client, const panel_request *r)
-{
-    const json_t *to = json_object_get(r->arguments, "to");
-    const json_int_t number = json_is_integer(to) ? json_integer_value(to) : 0;
-    const panel_client *next = number > 0 ? d->o.find(d->o.user, (uint64_t)number) : NULL;
-    if (to && !next)
-        refuse_call(d, client, r, "there is no client of that number to hand control to");
-    else if (!next && moves(d->phase))
-        refuse_call(d, client, r,
-                    "refused: work is under way; Abort it first, or hand control over with `to`");
-    else if (!note_control(d, client, next ? "handed over" : "released", next ? next->number : 0))
-        refuse_call(d, client, r, "the audit log cannot be written");
-    else {
-        give_control(d, next ? next->number : 0);
-        answer_control(d, client, r);
-    }
-}
-
-void panel_desk_leave(panel_desk *d, panel_client *client, const char *why)
-{
-    json_t *fields = about(client);
-    json_object_set_new(fields, "why", json_string(why));
-    json_object_set_new(fields, "sent", json_integer((json_int_t)client->box.sent));
-    json_object_set_new(fields, "skipped", json_integer((json_int_t)client->box.skipped));
-    audit_stranger(d->o.audit, "disconnect", fields);
-    d->o.counts->sent += client->box.sent;
-    d->o.counts->skipped += client->box.skipped;
-    panel_bench_leave(d->o.bench, client->number);
-    if (d->operator_number != client->number) return;
-    /* Whatever the log says: a machine that nobody leads is stopped. */
-    atomic_store(&d->o.link->stop, true);
-    (void)note_control(d, client, "lost: UserStop", 0);
-    give_control(d, 0);
+    desk_reply(client, panel_server_info(name, d->session, client->number));
+    desk_reply(client, panel_advertise(d->o.channel, d->o.channel_count));
+    desk_reply(client, panel_advertise_services(list, SERVICES + benches));
 }
 
 /* ---- orders ---- */
 
+void desk_refuse_call(panel_desk *d, panel_client *client, const panel_request *r, const char *why)
+{
+    const bool known = r->service >= 1 && r->service <= SERVICES;
+    panel_desk_refuse(d, client, known ? services[r->service - 1].about.name : "a service call", why);
+    desk_reply(client, panel_failure(r->service, r->call, why));
+}
+
 /* Written, then passed on. NULL, or why it was not. `order` is taken. */
-static const char *pass(panel_desk *d, const panel_client *client, const pending *waits, panel_order *order,
-                        json_t *fields)
+const char *desk_pass(panel_desk *d, const panel_client *client, const desk_pending *waits,
+                      panel_order *order, json_t *fields)
 {
     order->order = ++d->orders;
     json_object_set_new(fields, "order", json_integer((json_int_t)order->order));
-    const char *why = d->pending_count == PENDING ? "too many orders wait for their answers" : NULL;
+    const char *why = d->pending_count == DESK_PENDING ? "too many orders wait for their answers" : NULL;
     const bool stops = order->event == TD_EVENT_USER_STOP || order->event == TD_EVENT_ABORT ||
                        order->event == TD_EVENT_PAUSE;
     if (!why && !audit_write(d->o.audit, "order", json_incref(fields)) && !stops)
@@ -285,7 +169,7 @@ static const char *pass(panel_desk *d, const panel_client *client, const pending
         free(order);
         return why;
     }
-    pending *p = d->pending + d->pending_count++;
+    desk_pending *p = d->pending + d->pending_count++;
     *p = *waits;
     p->order = d->orders;
     p->client = client->number;
@@ -326,11 +210,11 @@ static void call_order(panel_desk *d, panel_client *client, const panel_request 
 {
     const service *s = services + r->service - 1;
     panel_order *o = panel_link_fresh(&d->o.link->spent_orders, sizeof *o);
-    json_t *fields = about(client);
+    json_t *fields = desk_about(client);
     if (!o || !fields) {
         free(o);
         json_decref(fields);
-        refuse_call(d, client, r, "out of memory");
+        desk_refuse_call(d, client, r, "out of memory");
         return;
     }
     o->event = s->event;
@@ -341,10 +225,10 @@ static void call_order(panel_desk *d, panel_client *client, const panel_request 
         free(o);
         json_decref(fields);
     } else {
-        const pending waits = {.service = r->service, .call = r->call};
-        why = pass(d, client, &waits, o, fields);
+        const desk_pending waits = {.service = r->service, .call = r->call};
+        why = desk_pass(d, client, &waits, o, fields);
     }
-    if (why) refuse_call(d, client, r, why);
+    if (why) desk_refuse_call(d, client, r, why);
 }
 
 /* ---- benches ---- */
@@ -360,7 +244,7 @@ static void refuse_bench(panel_desk *d, panel_client *client, uint32_t number, u
                          const char *name, const char *why)
 {
     panel_desk_refuse(d, client, name, why);
-    reply(client, panel_failure(number, of_call, why));
+    desk_reply(client, panel_failure(number, of_call, why));
 }
 
 /* What leaves something behind is for who holds control, and stands in the audit log. */
@@ -368,10 +252,9 @@ static const char *may_lead(panel_desk *d, const panel_client *client, const pan
                             const panel_bench_service *s)
 {
     if (!s->led) return NULL;
-    if (d->operator_number != client->number)
-        return d->operator_number ? "another client holds control"
-                                  : "nobody holds control: TakeControl first";
-    json_t *fields = about(client);
+    const char *why = desk_not_leading(d, client);
+    if (why) return why;
+    json_t *fields = desk_about(client);
     json_object_set_new(fields, "request", json_string(s->about.name));
     if (json_object_size(r->arguments)) json_object_set(fields, "arguments", r->arguments);
     return audit_write(d->o.audit, "bench", fields) ? NULL : "the audit log cannot be written";
@@ -394,11 +277,11 @@ void panel_desk_bench(panel_desk *d, const panel_bench_answer *a)
 {
     panel_client *client = a->client ? d->o.find(d->o.user, a->client) : NULL;
     if (client && a->json)
-        reply(client, panel_response(a->service, a->call, json_incref(a->json)));
+        desk_reply(client, panel_response(a->service, a->call, json_incref(a->json)));
     else if (client && a->call)
         refuse_bench(d, client, a->service, a->call, a->name, a->why);
     else if (client)
-        reply(client, panel_status(PANEL_WARNING, a->why));
+        desk_reply(client, panel_status(PANEL_WARNING, a->why));
     json_decref(a->json);
     if (!a->name)
         audit_stranger(d->o.audit, "bench ended",
@@ -410,7 +293,7 @@ static void call(panel_desk *d, panel_client *client, const panel_request *r)
 {
     const bool again = client->called && r->call <= client->last_call;
     if (again) {
-        refuse_call(d, client, r, "replayed: the numbers of a connection's calls must rise");
+        desk_refuse_call(d, client, r, "replayed: the numbers of a connection's calls must rise");
         return;
     }
     client->called = true;
@@ -420,116 +303,20 @@ static void call(panel_desk *d, panel_client *client, const panel_request *r)
         return;
     }
     if (r->service < 1 || r->service > SERVICES) {
-        refuse_call(d, client, r, "there is no service of that number");
+        desk_refuse_call(d, client, r, "there is no service of that number");
         return;
     }
     const char *why = check_keys(services[r->service - 1].keys, r->arguments);
     const bool takes = r->service == TAKE + 1;
-    if (!why && !takes && d->operator_number != client->number)
-        why = d->operator_number ? "another client holds control" : "nobody holds control: TakeControl first";
+    if (!why && !takes) why = desk_not_leading(d, client);
     if (why)
-        refuse_call(d, client, r, why);
+        desk_refuse_call(d, client, r, why);
     else if (takes)
-        take_control(d, client, r);
+        desk_take_control(d, client, r);
     else if (r->service == RELEASE + 1)
-        release_control(d, client, r);
+        desk_release_control(d, client, r);
     else
         call_order(d, client, r);
-}
-
-/* ---- parameters ---- */
-
-static int find_parameter(const panel_desk *d, const char *name)
-{
-    for (int i = 0; i < d->o.parameter_count; i++)
-        if (strcmp(d->o.parameter[i].name, name) == 0) return i;
-    return -1;
-}
-
-/* Unknown ones are left out, as the protocol has it; no names: all. */
-static void get_parameters(panel_desk *d, panel_client *client, const panel_request *r)
-{
-    json_t *list = json_array();
-    const size_t count = json_array_size(r->parameters);
-    for (size_t i = 0; i < count; i++) {
-        const int p = find_parameter(d, json_string_value(json_array_get(r->parameters, i)));
-        if (p >= 0) json_array_append_new(list, panel_parameter_json(d->o.parameter + p));
-    }
-    for (int p = 0; count == 0 && p < d->o.parameter_count; p++)
-        json_array_append_new(list, panel_parameter_json(d->o.parameter + p));
-    reply(client, panel_parameter_values(list, r->id));
-}
-
-static void watch_parameters(panel_desk *d, panel_client *client, const panel_request *r)
-{
-    const size_t count = json_array_size(r->parameters);
-    const bool watches = r->op == PANEL_WATCH_PARAMETERS;
-    for (size_t i = 0; i < count; i++) {
-        const int p = find_parameter(d, json_string_value(json_array_get(r->parameters, i)));
-        if (p >= 0) client->watches[p] = watches;
-    }
-    for (int p = 0; count == 0 && p < d->o.parameter_count; p++) client->watches[p] = watches;
-}
-
-/* As it is: to who asked. */
-static void show_parameter(panel_desk *d, panel_client *client, int p, const char *id)
-{
-    json_t *list = json_array();
-    if (p >= 0) json_array_append_new(list, panel_parameter_json(d->o.parameter + p));
-    reply(client, panel_parameter_values(list, id));
-}
-
-static void set_parameter(panel_desk *d, panel_client *client, const json_t *item, const char *id)
-{
-    const char *name = json_string_value(json_object_get(item, "name")), *why = NULL;
-    const int p = find_parameter(d, name);
-    pending waits = {.parameter = p};
-    td_error error = {0};
-    snprintf(waits.id, sizeof waits.id, "%s", id);
-    if (d->operator_number != client->number)
-        why = d->operator_number ? "another client holds control" : "nobody holds control: TakeControl first";
-    else if (p < 0)
-        why = "there is no parameter of that name";
-    else if (panel_parameter_read(&waits.number, d->o.parameter + p, json_object_get(item, "value"),
-                                  &error) != TD_OK)
-        why = error.message;
-    panel_order *o = why ? NULL : panel_link_fresh(&d->o.link->spent_orders, sizeof *o);
-    if (!why && !o) why = "out of memory";
-    if (!why) {
-        json_t *fields = about(client);
-        *o = (panel_order){.event = TD_EVENT_COUNT, .parameter = p, .number = waits.number};
-        json_object_set_new(fields, "request", json_string("setParameters"));
-        json_object_set_new(fields, "parameter", json_string(name));
-        json_object_set(fields, "value", json_object_get(item, "value"));
-        why = pass(d, client, &waits, o, fields);
-    }
-    if (!why) return;
-    panel_desk_refuse(d, client, "setParameters", why);
-    reply(client, panel_status(PANEL_WARNING, why));
-    show_parameter(d, client, p, id);
-}
-
-typedef struct change {
-    panel_desk *desk;
-    int parameter;
-    const panel_client *but;
-} change;
-
-static void tell_change(panel_client *client, void *with)
-{
-    const change *c = with;
-    if (client->watches[c->parameter] && client != c->but) show_parameter(c->desk, client, c->parameter, "");
-}
-
-static void parameter_is_set(panel_desk *d, const pending *p, panel_client *client, const panel_news *news)
-{
-    if (news->accepted) panel_parameter_show(d->o.parameter + p->parameter, p->number);
-    if (client) {
-        if (!news->accepted) reply(client, panel_status(PANEL_WARNING, news->text));
-        show_parameter(d, client, p->parameter, p->id);
-    }
-    change c = {d, p->parameter, client};
-    if (news->accepted) d->o.each(d->o.user, tell_change, &c);
 }
 
 /* ---- what comes in ---- */
@@ -539,7 +326,7 @@ void panel_desk_answer(panel_desk *d, const panel_news *news)
     size_t i = 0;
     while (i < d->pending_count && d->pending[i].order != news->order) i++;
     if (i == d->pending_count) return;
-    const pending p = d->pending[i];
+    const desk_pending p = d->pending[i];
     d->pending[i] = d->pending[--d->pending_count];
     panel_client *client = d->o.find(d->o.user, p.client);
     (void)audit_write(d->o.audit, "answer",
@@ -552,11 +339,11 @@ void panel_desk_answer(panel_desk *d, const panel_news *news)
         d->o.counts->refused++;
     }
     if (!p.service)
-        parameter_is_set(d, &p, client, news);
+        desk_parameter_is_set(d, &p, client, news);
     else if (client && news->accepted)
-        reply(client, panel_response(p.service, p.call, json_pack("{s:s}", "answer", news->text)));
+        desk_reply(client, panel_response(p.service, p.call, json_pack("{s:s}", "answer", news->text)));
     else if (client)
-        reply(client, panel_failure(p.service, p.call, news->text));
+        desk_reply(client, panel_failure(p.service, p.call, news->text));
 }
 
 static void subscribe(panel_desk *d, panel_client *client, const panel_request *r)
@@ -584,7 +371,7 @@ void panel_desk_take(panel_desk *d, panel_client *client, const void *bytes, siz
     if (panel_request_parse(&r, bytes, size, binary, &error) != TD_OK) {
         fault(d, client, "a message", error.message);
         if (binary && r.op == PANEL_CALL && r.call)
-            reply(client, panel_failure(r.service, r.call, error.message));
+            desk_reply(client, panel_failure(r.service, r.call, error.message));
         return;
     }
     switch (r.op) {
@@ -595,17 +382,17 @@ void panel_desk_take(panel_desk *d, panel_client *client, const void *bytes, siz
         unsubscribe(d, client, &r);
         break;
     case PANEL_GET_PARAMETERS:
-        get_parameters(d, client, &r);
+        desk_get_parameters(d, client, &r);
         break;
     case PANEL_SET_PARAMETERS:
         for (size_t i = 0; i < json_array_size(r.parameters); i++)
-            set_parameter(d, client, json_array_get(r.parameters, i), r.id);
+            desk_set_parameter(d, client, json_array_get(r.parameters, i), r.id);
         break;
     case PANEL_CALL:
         call(d, client, &r);
         break;
     default:
-        watch_parameters(d, client, &r);
+        desk_watch_parameters(d, client, &r);
         break;
     }
     panel_request_free(&r);

@@ -1,6 +1,7 @@
 #include "apps/panel_door.h"
 
 #include <arpa/inet.h>
+#include <openssl/crypto.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -23,7 +24,7 @@ td_status panel_door_token(panel_door *door, const char *path, td_error *error)
                          path);
     else
         status = td_hash_bytes(door->token, text, length, error);
-    memset(text, 0, size);
+    OPENSSL_cleanse(text, size);
     free(text);
     door->locked = status == TD_OK;
     return status;

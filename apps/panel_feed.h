@@ -38,8 +38,8 @@ typedef struct panel_feed {
     double ground_s; /* when the last ground came, */
     double image_s;  /* and the last image; 0: none yet */
     double link_told_s;
-    panel_machine *machine; /* lent; NULL: none */
-    td_robot *ghost;        /* the robot with its frames named measured/… */
+    far_machine *machine; /* lent; NULL: none */
+    td_robot *ghost;      /* the robot with its frames named measured/… */
     td_log log;
     panel_desk *desk; /* lent: it gets the answers */
     const panel_counts *counts;

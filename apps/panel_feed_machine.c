@@ -58,7 +58,7 @@ static double lost_share(const td_link_measure *l)
     return l->frames_out ? fmin(1, (double)l->retransmitted / (double)l->frames_out) : 0;
 }
 
-static void tell_link(panel_feed *f, const panel_measured *m)
+static void tell_link(panel_feed *f, const far_measured *m)
 {
     const td_link_measure *l = &m->link;
     const td_machine_state_message *s = &m->state;
@@ -82,7 +82,7 @@ static void tell_link(panel_feed *f, const panel_measured *m)
     panel_feed_publish_json(f, PANEL_FAR, o);
 }
 
-static void tell_state(panel_feed *f, const panel_measured *m)
+static void tell_state(panel_feed *f, const far_measured *m)
 {
     const td_plant_state *s = &m->state.plant;
     const uint64_t ns = f->hub.time_ns;
@@ -97,18 +97,18 @@ static void tell_state(panel_feed *f, const panel_measured *m)
 
 /* ---- what is said ---- */
 
-static void note(panel_feed *f, const panel_heard *h)
+static void note(panel_feed *f, const far_heard *h)
 {
     static const char *const what[] = {"machine linked", "machine lost", "machine told", "machine answered",
                                        "machine stopped"};
     const td_machine_answer *a = &h->answer;
     json_t *fields = json_pack("{s:s}", "text", a->text);
-    if (fields && h->kind == PANEL_ANSWERED && a->kind) {
+    if (fields && h->kind == FAR_ANSWERED && a->kind) {
         json_object_set_new(
             fields, "to", json_string(a->kind == TD_MACHINE_TASK ? "task" : td_machine_order_name(a->order)));
         json_object_set_new(fields, "accepted", json_boolean(a->accepted));
     }
-    if (fields && h->kind == PANEL_STOPPED) {
+    if (fields && h->kind == FAR_STOPPED) {
         json_object_set_new(fields, "silent_s", td_json_real(h->stopped.silent_s));
         json_object_set_new(fields, "took_s", td_json_real(h->stopped.took_s));
     }
@@ -116,14 +116,14 @@ static void note(panel_feed *f, const panel_heard *h)
     char text[TD_MACHINE_TEXT_SIZE + 40], *json = NULL;
     size_t size = 0;
     const bool bad =
-        h->kind == PANEL_UNLINKED || h->kind == PANEL_STOPPED || (h->kind == PANEL_ANSWERED && !a->accepted);
+        h->kind == FAR_UNLINKED || h->kind == FAR_STOPPED || (h->kind == FAR_ANSWERED && !a->accepted);
     snprintf(text, sizeof text, "%s: %s", what[h->kind], a->text);
     const td_status made = td_foxglove_log(&json, &size, bad ? TD_LOG_WARNING : TD_LOG_INFO, "machine", text,
                                            f->hub.time_ns, NULL);
     give(f, TASK_LOG, made, json, size);
 }
 
-static void tell_picture(panel_feed *f, const panel_picture *p)
+static void tell_picture(panel_feed *f, const far_picture *p)
 {
     char *json = NULL;
     size_t size = 0;
@@ -137,12 +137,12 @@ static void tell_picture(panel_feed *f, const panel_picture *p)
 void panel_feed_machine_take(panel_feed *f)
 {
     static const double LINK_S = 0.2;
-    for (panel_heard *h; (h = panel_machine_line(f->machine)); panel_machine_lined(f->machine, h)) note(f, h);
-    for (panel_measured *m; (m = panel_machine_shown(f->machine)); panel_machine_was_shown(f->machine, m)) {
+    for (far_heard *h; (h = far_machine_line(f->machine)); far_machine_lined(f->machine, h)) note(f, h);
+    for (far_measured *m; (m = far_machine_shown(f->machine)); far_machine_was_shown(f->machine, m)) {
         if (m->has_state && m->open) tell_state(f, m);
         if (td_machine_now_s() > f->link_told_s + LINK_S || !m->open) tell_link(f, m);
     }
-    for (panel_picture *p; (p = panel_machine_picture(f->machine)); panel_machine_pictured(f->machine, p))
+    for (far_picture *p; (p = far_machine_picture(f->machine)); far_machine_pictured(f->machine, p))
         tell_picture(f, p);
 }
 

@@ -12,9 +12,9 @@
 #include <stdatomic.h>
 
 #include "apps/audit.h"
+#include "apps/far_machine.h"
 #include "apps/panel_bench.h"
 #include "apps/panel_hub.h"
-#include "apps/panel_machine.h"
 #include "apps/panel_ring.h"
 #include "apps/simulate_task.h"
 
@@ -112,7 +112,7 @@ typedef struct panel_options {
     size_t origin_count;
     int most_clients;
     double for_s;              /* 0: until told to end */
-    panel_machine *machine;    /* lent; NULL: none */
+    far_machine *machine;      /* lent; NULL: none */
     panel_bench_options bench; /* what pictures there are */
 } panel_options;
 

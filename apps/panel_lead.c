@@ -20,13 +20,13 @@ static void take_answer(panel_lead *l, const td_machine_answer *a)
 
 static void hear(panel_lead *l)
 {
-    for (panel_heard *h; (h = panel_machine_hear(l->machine)); panel_machine_heard(l->machine, h)) {
-        if (h->kind == PANEL_ANSWERED) take_answer(l, &h->answer);
-        if (h->kind != PANEL_UNLINKED) continue;
+    for (far_heard *h; (h = far_machine_hear(l->machine)); far_machine_heard(l->machine, h)) {
+        if (h->kind == FAR_ANSWERED) take_answer(l, &h->answer);
+        if (h->kind != FAR_UNLINKED) continue;
         l->reinit = l->renewed = l->sends = l->held = l->begun = false;
         l->now.open = false;
     }
-    (void)panel_machine_state(&l->now, l->machine);
+    (void)far_machine_state(&l->now, l->machine);
 }
 
 static bool is_executing(td_phase phase)
@@ -82,15 +82,15 @@ void panel_lead_look(panel_lead *l, td_phase phase, live_seen *seen)
 
 static void order(panel_lead *l, td_machine_order what)
 {
-    const panel_said said = {.kind = TD_MACHINE_ORDER, .order = what};
+    const far_said said = {.kind = TD_MACHINE_ORDER, .order = what};
     if (what == TD_ORDER_REINIT) l->reinit = l->now.open, l->renewed = false;
-    (void)panel_machine_say(l->machine, &said);
+    (void)far_machine_say(l->machine, &said);
 }
 
 static td_status send_task(panel_lead *l, const live_lead *lead, int joints, td_error *error)
 {
     const task_run *run = lead->run;
-    panel_said said = {.kind = TD_MACHINE_TASK};
+    far_said said = {.kind = TD_MACHINE_TASK};
     td_machine_validation *v = &said.validation;
     TD_TRY(td_task_hash(v->task, lead->task, error));
     TD_TRY(td_task_text(&said.text, lead->task, error));
@@ -99,10 +99,10 @@ static td_status send_task(panel_lead *l, const live_lead *lead, int joints, td_
     memcpy(v->start, run->from, sizeof v->start);
     memcpy(v->end, run->to, sizeof v->end);
     memcpy(v->force, run->peak, sizeof v->force);
-    panel_machine_model(v->model, l->machine);
+    far_machine_model(v->model, l->machine);
     memcpy(l->task, v->task, sizeof l->task);
     l->held = l->begun = false;
-    l->sends = panel_machine_say(l->machine, &said);
+    l->sends = far_machine_say(l->machine, &said);
     l->since_s = td_machine_now_s();
     if (!l->sends) snprintf(l->why, sizeof l->why, "the task cannot be sent now");
     return TD_OK;
@@ -115,8 +115,8 @@ static bool is_obeyed(const live_lead *lead, td_event event)
 
 static void move(panel_lead *l, const td_plant_command *command)
 {
-    const panel_said said = {.kind = TD_MACHINE_JOINTS, .command = *command};
-    (void)panel_machine_say(l->machine, &said);
+    const far_said said = {.kind = TD_MACHINE_JOINTS, .command = *command};
+    (void)far_machine_say(l->machine, &said);
 }
 
 td_status panel_lead_on(panel_lead *l, const live_lead *lead, int joints, td_error *error)
@@ -128,7 +128,7 @@ td_status panel_lead_on(panel_lead *l, const live_lead *lead, int joints, td_err
                   {TD_EVENT_MANUAL, TD_ORDER_MANUAL},
                   {TD_EVENT_AUTOMATIC, TD_ORDER_AUTOMATIC}};
     const td_phase phase = lead->out->phase;
-    panel_machine_beat(l->machine);
+    far_machine_beat(l->machine);
     if (lead->out->fault != TD_FAULT_NONE || is_obeyed(lead, TD_EVENT_USER_STOP) ||
         is_obeyed(lead, TD_EVENT_ABORT)) {
         order(l, TD_ORDER_STOP);

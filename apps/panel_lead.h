@@ -3,12 +3,12 @@
 #ifndef TELEDIMOS_APPS_PANEL_LEAD_H
 #define TELEDIMOS_APPS_PANEL_LEAD_H
 
-#include "apps/panel_machine.h"
+#include "apps/far_machine.h"
 #include "apps/simulate_task.h"
 
 typedef struct panel_lead {
-    panel_machine *machine; /* lent; NULL: none */
-    panel_measured now;
+    far_machine *machine; /* lent; NULL: none */
+    far_measured now;
     bool reinit, renewed;    /* Reinit was ordered; answered: it is over once the state shows it */
     bool sends, held, begun; /* the task: sent; held; its execution seen */
     char task[TD_HASH_HEX_SIZE];

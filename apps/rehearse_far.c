@@ -6,9 +6,9 @@
 #include <string.h>
 #include <time.h>
 
+#include "apps/far_machine.h"
 #include "apps/machine_model.h"
 #include "apps/machine_plan.h"
-#include "apps/panel_machine.h"
 #include "apps/rehearse_internal.h"
 
 static const double OPEN_S = 10, IMAGES_S = 120, CHECKED_S = 300, ANSWER_S = 10, REST_S = 10;
@@ -16,8 +16,8 @@ static const double AT_REST = 2e-3; /* rad/s or m/s */
 static const double SILENT_S = 2;   /* this program is not in time */
 
 struct rehearse_far {
-    panel_machine *machine;
-    panel_measured now;
+    far_machine *machine;
+    far_measured now;
     bool answered, accepted;
     td_machine_kind answered_kind;
     char answer[TD_MACHINE_TEXT_SIZE];
@@ -40,18 +40,17 @@ static void nap(void)
 
 static void hear(rehearse_far *f)
 {
-    panel_machine_beat(f->machine);
-    (void)panel_machine_state(&f->now, f->machine);
-    for (panel_heard *h; (h = panel_machine_hear(f->machine)); panel_machine_heard(f->machine, h)) {
-        if (h->kind != PANEL_ANSWERED) continue;
+    far_machine_beat(f->machine);
+    (void)far_machine_state(&f->now, f->machine);
+    for (far_heard *h; (h = far_machine_hear(f->machine)); far_machine_heard(f->machine, h)) {
+        if (h->kind != FAR_ANSWERED) continue;
         f->answered = true;
         f->answered_kind = h->answer.kind;
         f->accepted = h->answer.accepted;
         snprintf(f->answer, sizeof f->answer, "%s", h->answer.text);
     }
-    for (panel_heard *h; (h = panel_machine_line(f->machine)); panel_machine_lined(f->machine, h)) continue;
-    for (panel_measured *m; (m = panel_machine_shown(f->machine)); panel_machine_was_shown(f->machine, m))
-        continue;
+    for (far_heard *h; (h = far_machine_line(f->machine)); far_machine_lined(f->machine, h)) continue;
+    for (far_measured *m; (m = far_machine_shown(f->machine)); far_machine_was_shown(f->machine, m)) continue;
 }
 
 /* Where the machine says that it stands. */
@@ -93,15 +92,15 @@ static td_status await_answer(bool *accepted, rehearse *r, td_machine_kind kind,
     return TD_OK;
 }
 
-static void say(rehearse_far *f, const panel_said *said)
+static void say(rehearse_far *f, const far_said *said)
 {
     f->answered = false;
-    (void)panel_machine_say(f->machine, said);
+    (void)far_machine_say(f->machine, said);
 }
 
 static void order(rehearse_far *f, td_machine_order what)
 {
-    const panel_said said = {.kind = TD_MACHINE_ORDER, .order = what};
+    const far_said said = {.kind = TD_MACHINE_ORDER, .order = what};
     say(f, &said);
 }
 
@@ -113,6 +112,7 @@ static td_status reach(rehearse *r, td_error *error)
     const double until = td_machine_now_s() + OPEN_S;
     while (!is_there(f) || f->now.state.mode == TD_MODE_CHECKING) {
         hear(f);
+        if (terminal_interrupted()) return td_fail(error, TD_ERROR_CANCELLED, "interrupted");
         if (td_machine_now_s() > until)
             return td_fail(error, TD_ERROR_IO, "the machine is not there: %s", f->now.why);
         nap();
@@ -130,23 +130,23 @@ td_status rehearse_far_begin(rehearse *r, const struct machine_address *address,
     rehearse_far *f = r->far = calloc(1, sizeof *f);
     if (!f) return td_fail(error, TD_ERROR_MEMORY, "no memory for a link");
     TD_TRY(machine_model(model, &r->scenario, error));
-    TD_TRY(panel_machine_new(&f->machine, address, model, r->scenario.robot->joint_count, SILENT_S, error));
-    TD_TRY(panel_machine_start(f->machine, wake, NULL, error));
+    TD_TRY(far_machine_new(&f->machine, address, model, r->scenario.robot->joint_count, SILENT_S, error));
+    TD_TRY(far_machine_start(f->machine, wake, NULL, error));
     return reach(r, error);
 }
 
 void rehearse_far_free(rehearse *r)
 {
     if (!r->far) return;
-    panel_machine_free(&r->far->machine);
+    far_machine_free(&r->far->machine);
     free(r->far);
     r->far = NULL;
 }
 
 /* ---- seen ---- */
 
-static td_status take_picture(td_image *pair[2], td_pose *site_from_vehicle, double *q,
-                              const panel_picture *p, td_error *error)
+static td_status take_picture(td_image *pair[2], td_pose *site_from_vehicle, double *q, const far_picture *p,
+                              td_error *error)
 {
     const td_machine_image *i = &p->image;
     if (i->size < 4 || i->jpeg[0] != 0x89) return TD_OK; /* not what was asked for */
@@ -160,13 +160,13 @@ td_status rehearse_far_look(rehearse *r, int frame, td_image *pair[2], td_pose *
                             td_error *error)
 {
     rehearse_far *f = r->far;
-    const panel_said asked = {.kind = TD_MACHINE_LOOK, .look = frame + 1};
+    const far_said asked = {.kind = TD_MACHINE_LOOK, .look = frame + 1};
     const double until = td_machine_now_s() + IMAGES_S;
     td_status status = TD_OK;
-    (void)panel_machine_say(f->machine, &asked);
+    (void)far_machine_say(f->machine, &asked);
     while (status == TD_OK && !r->stopped && (!pair[0] || !pair[1])) {
         hear(f);
-        for (panel_picture *p; (p = panel_machine_picture(f->machine)); panel_machine_pictured(f->machine, p))
+        for (far_picture *p; (p = far_machine_picture(f->machine)); far_machine_pictured(f->machine, p))
             if (status == TD_OK) status = take_picture(pair, site_from_vehicle, q, p, error);
         if (terminal_interrupted()) return td_fail(error, TD_ERROR_CANCELLED, "interrupted");
         if (!f->now.open) rehearse_stop(r, "the machine is lost: %s", f->now.why);
@@ -261,20 +261,20 @@ static td_status watch(task_run *run, rehearse *r, const scenario *s, const task
 
 static td_status send_plan(rehearse *r, const scenario *s, const task_world *w, td_error *error)
 {
-    panel_said said = {.kind = TD_MACHINE_PLAN};
+    far_said said = {.kind = TD_MACHINE_PLAN};
     if (!w->plan) return TD_OK;
     TD_TRY(machine_plan_text(&said.text, w->plan, s->task->task, error));
-    (void)panel_machine_say(r->far->machine, &said);
+    (void)far_machine_say(r->far->machine, &said);
     return TD_OK;
 }
 
 static td_status send_task(rehearse *r, const scenario *s, const task_run *ahead, td_error *error)
 {
-    panel_said said = {.kind = TD_MACHINE_TASK};
+    far_said said = {.kind = TD_MACHINE_TASK};
     td_machine_validation *v = &said.validation;
     TD_TRY(td_task_hash(v->task, s->task->task, error));
     TD_TRY(td_task_text(&said.text, s->task->task, error));
-    panel_machine_model(v->model, r->far->machine);
+    far_machine_model(v->model, r->far->machine);
     v->joints = s->robot->joint_count;
     v->duration_s = ahead->took_s;
     memcpy(v->start, r->state.q, sizeof v->start);

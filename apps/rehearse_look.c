@@ -116,16 +116,9 @@ static td_status take_map(rehearse *r, td_error *error)
 
 static td_status make_look(rehearse *r, td_error *error)
 {
-    const td_scene_image *i = &r->scene->image;
     const station_ground *g = &r->scenario.ground;
     look_options o = look_options_default();
-    o.view.samples = i->samples;
-    o.view.blur_px = i->blur_px;
-    o.view.vignetting = i->vignetting;
-    o.view.gain = i->gain;
-    o.view.offset = i->offset;
-    o.view.read_noise = i->read_noise;
-    o.view.shot_noise = i->shot_noise;
+    o.view = td_view_options_of_scene(&r->scene->image);
     o.view.seed = r->seed;
     o.view.threads = o.dense.threads = o.fusion.threads = r->threads;
     o.fusion.cell_m = g->cell_m;

@@ -28,34 +28,40 @@ void rehearse_keep(rehearse *r, task_run *run, bool own, const char *format, ...
     *run = (task_run){0};
 }
 
+typedef struct source {
+    const rehearse *r;
+    const rehearse_setup *setup;
+} source;
+
 /* A scene is a file, or a folder with scene.yaml. */
-static td_status add_file(td_hash *hash, const char *path, bool is_scene, td_error *error)
+static td_status add_scene(td_hash *hash, const char *path, td_error *error)
 {
-    char hex[TD_HASH_HEX_SIZE];
-    char *inside =
-        is_scene && td_hash_file(hex, path, NULL) != TD_OK ? td_path_join(path, "scene.yaml") : NULL;
-    const td_status status = td_hash_file(hex, inside ? inside : path, error);
+    if (task_hash_file(hash, path, NULL) == TD_OK) return TD_OK;
+    char *inside = td_path_join(path, "scene.yaml");
+    const td_status status = task_hash_file(hash, inside ? inside : path, error);
     free(inside);
-    if (status == TD_OK) td_hash_add(hash, hex, strlen(hex));
     return status;
+}
+
+static td_status add_all(td_hash *hash, const void *user, td_error *error)
+{
+    const source *from = user;
+    char hex[TD_HASH_HEX_SIZE];
+    scenario s = from->r->scenario;
+    s.map = NULL;
+    TD_TRY(task_identity(hex, &s, error));
+    td_hash_add(hash, hex, strlen(hex));
+    TD_TRY(task_hash_file(hash, from->setup->path, error));
+    TD_TRY(task_hash_file(hash, from->setup->rig_path, error));
+    return add_scene(hash, s.ground.site, error);
 }
 
 /* The files that a rehearsal is made of. */
 static td_status identify(char hex[TD_HASH_HEX_SIZE], const rehearse *r, const rehearse_setup *setup,
                           td_error *error)
 {
-    td_hash *hash = NULL;
-    scenario s = r->scenario;
-    s.map = NULL;
-    TD_TRY(task_identity(hex, &s, error));
-    TD_TRY(td_hash_new(&hash, error));
-    td_hash_add(hash, hex, strlen(hex));
-    td_status status = add_file(hash, setup->path, false, error);
-    if (status == TD_OK) status = add_file(hash, setup->rig_path, false, error);
-    if (status == TD_OK) status = add_file(hash, r->scenario.ground.site, true, error);
-    if (status == TD_OK) return td_hash_finish(hex, &hash, error);
-    td_hash_free(&hash);
-    return status;
+    const source from = {.r = r, .setup = setup};
+    return td_hash_make(hex, add_all, &from, error);
 }
 
 td_status rehearse_record(const rehearse *r, const char *folder, td_error *error)

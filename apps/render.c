@@ -276,15 +276,7 @@ static td_status claim_folder(const job *j, td_error *error)
 
 static td_view_options view_options(const job *j)
 {
-    const td_scene_image *i = &j->file->image;
-    td_view_options o = td_view_options_default();
-    o.samples = i->samples;
-    o.blur_px = i->blur_px;
-    o.vignetting = i->vignetting;
-    o.gain = i->gain;
-    o.offset = i->offset;
-    o.read_noise = i->read_noise;
-    o.shot_noise = i->shot_noise;
+    td_view_options o = td_view_options_of_scene(&j->file->image);
     o.seed = (uint64_t)common.seed;
     o.threads = common.threads;
     return o;

@@ -63,18 +63,11 @@ static td_status add_tags(td_scene *scene, const servo_target *target, const cha
 static td_status make(servo_view *v, uint64_t seed, int threads, td_error *error)
 {
     TD_TRY(td_scene_read(&v->file, v->s->scene_path, error));
-    const td_scene_image *i = &v->file->image;
     TD_TRY(add_tags(&v->file->scene, &v->s->bucket, v->s->dictionary, error));
     TD_TRY(add_tags(&v->file->scene, &v->s->board, v->s->dictionary, error));
-    v->options = (td_view_options){.samples = i->samples,
-                                   .blur_px = i->blur_px,
-                                   .vignetting = i->vignetting,
-                                   .gain = i->gain,
-                                   .offset = i->offset,
-                                   .read_noise = i->read_noise,
-                                   .shot_noise = i->shot_noise,
-                                   .seed = seed,
-                                   .threads = threads};
+    v->options = td_view_options_of_scene(&v->file->image);
+    v->options.seed = seed;
+    v->options.threads = threads;
     return td_stereo_view_new(&v->view, &v->file->scene, error);
 }
 

@@ -198,6 +198,8 @@ td_status task_write_ground(const task_run *run, const scenario *s, const char *
 struct td_report;
 void task_report_ground(struct td_report *r, const task_job *j);
 
+/* Adds the digits of a file's hash: as many, whatever it holds. */
+td_status task_hash_file(td_hash *hash, const char *path, td_error *error);
 /* What decides the motion: files and options; SHA-256. */
 td_status task_identity(char hex[TD_HASH_HEX_SIZE], const scenario *s, td_error *error);
 /* trajectory.csv, events.csv, recording.mcap. */

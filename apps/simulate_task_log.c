@@ -13,7 +13,7 @@
 
 /* ---- which scenario ---- */
 
-static td_status add_file(td_hash *hash, const char *path, td_error *error)
+td_status task_hash_file(td_hash *hash, const char *path, td_error *error)
 {
     char hex[TD_HASH_HEX_SIZE];
     TD_TRY(td_hash_file(hex, path, error));
@@ -21,8 +21,9 @@ static td_status add_file(td_hash *hash, const char *path, td_error *error)
     return TD_OK;
 }
 
-static td_status add_all(td_hash *hash, const scenario *s, td_error *error)
+static td_status add_all(td_hash *hash, const void *user, td_error *error)
 {
+    const scenario *s = user;
     const td_machine_options *o = &s->options;
     const double number[] = {s->duration_s,
                              s->log_s,
@@ -35,15 +36,15 @@ static td_status add_all(td_hash *hash, const scenario *s, td_error *error)
                              s->task->singularity,
                              s->task->miss == TD_MISS_STOP};
     char yaml[sizeof s->robot_path], hex[TD_HASH_HEX_SIZE];
-    TD_TRY(add_file(hash, s->path, error));
-    TD_TRY(add_file(hash, s->robot_path, error));
+    TD_TRY(task_hash_file(hash, s->path, error));
+    TD_TRY(task_hash_file(hash, s->robot_path, error));
     snprintf(yaml, sizeof yaml, "%s", s->robot_path);
     char *end = strrchr(yaml, '.');
     if (end && (size_t)(end - yaml) + 6 <= sizeof yaml) memcpy(end, ".yaml", 6);
-    if (add_file(hash, yaml, NULL) != TD_OK) td_hash_add(hash, "none", 4);
+    if (task_hash_file(hash, yaml, NULL) != TD_OK) td_hash_add(hash, "none", 4);
     TD_TRY(td_task_hash(hex, s->task->task, error));
     td_hash_add(hash, hex, strlen(hex));
-    if (s->has_ground && s->ground.has_soil) TD_TRY(add_file(hash, s->ground.soil_path, error));
+    if (s->has_ground && s->ground.has_soil) TD_TRY(task_hash_file(hash, s->ground.soil_path, error));
     if (s->map) {
         const td_elevation *m = s->map;
         const double place[] = {m->columns, m->rows, m->cell_m, m->origin[0], m->origin[1]};
@@ -62,12 +63,7 @@ static td_status add_all(td_hash *hash, const scenario *s, td_error *error)
 
 td_status task_identity(char hex[TD_HASH_HEX_SIZE], const scenario *s, td_error *error)
 {
-    td_hash *hash = NULL;
-    TD_TRY(td_hash_new(&hash, error));
-    const td_status status = add_all(hash, s, error);
-    if (status == TD_OK) return td_hash_finish(hex, &hash, error);
-    td_hash_free(&hash);
-    return status;
+    return td_hash_make(hex, add_all, s, error);
 }
 
 /* ---- trajectory.csv ---- */

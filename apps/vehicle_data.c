@@ -382,8 +382,8 @@ static td_status hash_inputs(vehicle_job *job, td_error *error)
 {
     const td_dataset *d = job->dataset;
     td_hash *hash;
-    char *path = td_path_join(d->folder, "dataset.yaml");
     TD_TRY(td_hash_new(&hash, error));
+    char *path = td_path_join(d->folder, "dataset.yaml");
     hash_file(hash, path);
     hash_file(hash, job->robot_path);
     hash_file(hash, job->rig_path);

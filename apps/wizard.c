@@ -113,15 +113,7 @@ static td_status gather(wizard *w, td_error *error)
     }
     for (size_t v = 0; v < w->count; v++) {
         snprintf(o->view_name[v], sizeof o->view_name[v], "%s", w->view[v].name);
-        for (int c = 0; c < a->camera_count; c++) {
-            const td_detection *from = &w->view[v].detection[c];
-            td_detection *to = td_observations_get(o, v, c);
-            if (!from->found) continue;
-            memcpy(to->point, from->point, 2 * from->count * sizeof *to->point);
-            memcpy(to->sigma, from->sigma, from->count * sizeof *to->sigma);
-            to->found = true;
-            to->blur_px = from->blur_px;
-        }
+        for (int c = 0; c < a->camera_count; c++) td_observations_set(o, v, c, &w->view[v].detection[c]);
     }
     return TD_OK;
 }

@@ -48,7 +48,9 @@ static cli_command command = {
         "MatchChoose {candidate} or {x, y}; MatchUndo {}; MatchExport {}, into DIR/points.",
     .examples =
         "  echo '{\"id\": 1, \"op\": \"Benches\"}' | teledimos workbench pictures datasets/visp-marks "
-        "-o bench\n",
+        "-o bench\n"
+        "  (sleep 1; echo '{\"id\": 1, \"op\": \"Store\"}') | teledimos workbench acquire "
+        "'/usr/share/doc/opencv-doc/examples/data/left??.jpg' -o bench\n",
     .option = options,
     .option_count = sizeof options / sizeof *options,
     .least = 0,

@@ -169,15 +169,7 @@ static td_status gather(td_observations **made, const workbench *w, td_error *er
     for (size_t f = 0; f < d->frame_count; f++) {
         snprintf(o->view_name[f], sizeof o->view_name[f], "%s", d->frame[f].name);
         o->height_m[f] = d->frame[f].height_m;
-        for (int c = 0; c < d->camera_count; c++) {
-            const td_detection *from = &view_of(w, f, c)->detection;
-            td_detection *to = td_observations_get(o, f, c);
-            if (!from->found) continue;
-            memcpy(to->point, from->point, 2 * from->count * sizeof *to->point);
-            memcpy(to->sigma, from->sigma, from->count * sizeof *to->sigma);
-            to->found = true;
-            to->blur_px = from->blur_px;
-        }
+        for (int c = 0; c < d->camera_count; c++) td_observations_set(o, f, c, &view_of(w, f, c)->detection);
     }
     return TD_OK;
 }

@@ -507,7 +507,7 @@ td_status td_drift_views_settle(td_drift_views *views, const td_drift_options *o
     for (int round = 0; round < ROUNDS && status == TD_OK; round++) {
         bool changed = false;
         if (!td_progress_report(options->progress, "fitting the views", (size_t)round, ROUNDS))
-            status = td_fail(error, TD_ERROR_CANCELLED, "cancelled while fitting the views");
+            status = td_fail(error, TD_ERROR_CANCELLED, "interrupted while fitting the views");
         if (status == TD_OK) status = fit_poses(b, error);
         if (status == TD_OK) status = left_over(rest, &share, b, error);
         for (int c = 0; c < b->rig->count && status == TD_OK; c++) {

@@ -311,7 +311,7 @@ static td_status estimate(td_hand_eye *result, td_he_fit *fit, td_he_view *insid
     TD_TRY(begin(&start, inside, count, o, error));
     TD_TRY(td_he_choose_views(fit, inside, count, &used, &start, o->outlier_sigma, error));
     if (!td_progress_report(o->progress, "choosing the robot's model", 1, 2))
-        return td_fail(error, TD_ERROR_CANCELLED, "the hand-eye calibration was cancelled");
+        return td_fail(error, TD_ERROR_CANCELLED, "the hand-eye calibration was interrupted");
     if (o->free_scale) TD_TRY(free_scale(fit, inside, used, error));
     TD_TRY(choose_model(result, fit, inside, &used, o, error));
     if ((result->model == TD_ROBOT_FIELD || o->free_scale) && o->outlier_sigma > 0)

@@ -4,8 +4,8 @@
 #include <stdlib.h>
 
 #include "calib/calibrate_internal.h"
-#include "core/stereo.h"
 #include "core/parallel.h"
+#include "core/stereo.h"
 
 enum { MOST_FOLDS = 30 };
 
@@ -159,7 +159,7 @@ td_status td_leave_one_out_run(td_leave_one_out *result, const td_bundle *bundle
     else
         work.fold_count = 0;
     free(view);
-    if (status != TD_OK) return td_fail(error, status, "cancelled while leaving views out");
+    if (status != TD_OK) return td_fail(error, status, "interrupted while leaving views out");
 
     fold sum = {0};
     for (size_t i = 0; i < work.fold_count; i++) {

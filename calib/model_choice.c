@@ -309,7 +309,7 @@ static td_status run(choice_work *work, td_model_choice *choice, const char *nam
     if (status == TD_OK)
         status = td_parallel_for(TD_CAMERA_MODEL_COUNT * work->folds, work->options->threads, run_fold, work,
                                  work->options->progress, "comparing lens models");
-    if (status != TD_OK) return td_fail(error, status, "cancelled while comparing lens models");
+    if (status != TD_OK) return td_fail(error, status, "interrupted while comparing lens models");
     for (int i = 0; i < TD_CAMERA_MODEL_COUNT; i++) {
         const model_work *m = &work->model[i];
         td_model_score *s = &choice->score[i];

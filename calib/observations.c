@@ -54,6 +54,17 @@ td_detection *td_observations_get(const td_observations *observations, size_t vi
     return &observations->detection[view * (size_t)observations->camera_count + (size_t)camera];
 }
 
+void td_observations_set(td_observations *observations, size_t view, int camera,
+                         const td_detection *detection)
+{
+    td_detection *to = td_observations_get(observations, view, camera);
+    if (!detection->found) return;
+    memcpy(to->point, detection->point, 2 * detection->count * sizeof *to->point);
+    memcpy(to->sigma, detection->sigma, detection->count * sizeof *to->sigma);
+    to->found = true;
+    to->blur_px = detection->blur_px;
+}
+
 size_t td_observations_seen(const td_observations *observations, size_t view, int camera)
 {
     const td_detection *d = td_observations_get(observations, view, camera);
@@ -382,7 +393,7 @@ static td_status observe_images(td_observations *o, const td_dataset *dataset,
     else
         status = td_parallel_for(slots, options->threads, observe_one, &work, options->progress,
                                  "finding the target");
-    if (status == TD_ERROR_CANCELLED) status = td_fail(error, status, "cancelled while finding the target");
+    if (status == TD_ERROR_CANCELLED) status = td_fail(error, status, "interrupted while finding the target");
     if (status == TD_OK) status = check_images(&work, error);
     free(work.error);
     free(work.size);

@@ -33,6 +33,9 @@ TD_API td_status td_observations_new(td_observations **observations, const td_ta
                                      int camera_count, size_t view_count, td_error *error);
 TD_API void td_observations_free(td_observations **observations);
 TD_API td_detection *td_observations_get(const td_observations *observations, size_t view, int camera);
+/* What a detector saw, where it found the target; else nothing. It has as many points as the target. */
+TD_API void td_observations_set(td_observations *observations, size_t view, int camera,
+                                const td_detection *detection);
 /* Number of points seen by a camera in a view. */
 TD_API size_t td_observations_seen(const td_observations *observations, size_t view, int camera);
 

@@ -59,6 +59,16 @@ td_status td_hash_finish(char hex[TD_HASH_HEX_SIZE], td_hash **hash, td_error *e
     return TD_OK;
 }
 
+td_status td_hash_make(char hex[TD_HASH_HEX_SIZE], td_hash_part add, const void *user, td_error *error)
+{
+    td_hash *hash = NULL;
+    TD_TRY(td_hash_new(&hash, error));
+    const td_status status = add(hash, user, error);
+    if (status == TD_OK) return td_hash_finish(hex, &hash, error);
+    td_hash_free(&hash);
+    return status;
+}
+
 td_status td_hash_bytes(char hex[TD_HASH_HEX_SIZE], const void *bytes, size_t size, td_error *error)
 {
     td_hash *hash = NULL;

@@ -174,7 +174,7 @@ td_status solve(td_problem &problem, td_solve_summary &summary, const td_solve_o
     std::strncpy(summary.message, report.message.c_str(), sizeof summary.message - 1);
     td_log_write(options.log, TD_LOG_DEBUG, "least_squares", "%s", report.BriefReport().c_str());
     if (report.termination_type == ceres::USER_FAILURE)
-        return td_fail(error, TD_ERROR_CANCELLED, "cancelled while refining");
+        return td_fail(error, TD_ERROR_CANCELLED, "interrupted while refining");
     if (!report.IsSolutionUsable())
         return td_fail(error, TD_ERROR_CONVERGENCE, "least squares failed: %s", report.message.c_str());
     return TD_OK;

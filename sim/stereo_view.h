@@ -28,6 +28,8 @@ typedef struct td_view_options {
     int threads;         /* 0: one per processor; the image does not depend on it */
 } td_view_options;
 TD_API td_view_options td_view_options_default(void);
+/* As a scene's images are formed; seed and threads are the defaults. */
+TD_API td_view_options td_view_options_of_scene(const td_scene_image *image);
 
 typedef struct td_view {
     td_image *image; /* grey */

@@ -17,6 +17,17 @@ td_view_options td_view_options_default(void)
         .samples = 3, .blur_px = 0.6, .vignetting = 0.5, .gain = 1, .read_noise = 1, .shot_noise = 0.02};
 }
 
+td_view_options td_view_options_of_scene(const td_scene_image *image)
+{
+    return (td_view_options){.samples = image->samples,
+                             .blur_px = image->blur_px,
+                             .vignetting = image->vignetting,
+                             .gain = image->gain,
+                             .offset = image->offset,
+                             .read_noise = image->read_noise,
+                             .shot_noise = image->shot_noise};
+}
+
 static td_status check_option(const char *field, double value, double low, double high, td_error *error)
 {
     if (value >= low && value <= high) return TD_OK;

@@ -130,7 +130,7 @@ def stop(folder, dataset, number, trigger, count, delay):
     except subprocess.TimeoutExpired:
         job.kill()
     line = (open(log).read().splitlines(keepends=True) or [""])[-1]
-    check(job.wait() == 1 and not fault_of_sentence(line, "calibrate") and ("interrupted" in line or "cancelled" in line),
+    check(job.wait() == 1 and not fault_of_sentence(line, "calibrate") and "interrupted" in line,
           f"{signal.Signals(number).name} {delay} s after '{trigger}' no. {count}: {line.strip()} "
           f"({time.monotonic() - sent:.2f} s later)")
     check(not os.path.exists(out) or not os.listdir(out), "  and nothing is written")

@@ -6,7 +6,8 @@ its packets, goes half-open (the master hears and does not answer): the stop is 
 the heartbeat (0.3 + 0.1 s) of what was done to the wire, by the machine's own record on the same clock (and what other processes kept the
 machine from looking, which it records too); its time and angle are
 told; motion again only after Reinit. Whoever has no token, a wrong one, another version, who comes second, says again what was
-said before, sends what is too large, malformed or too slow is refused and recorded, and the machine goes on.
+said before, sends what is too large, malformed or too slow is refused and recorded, and the machine goes on; as it does where it
+finds no room for the process that would check a task.
 
 Reference: the wire format of core/link.h and core/machine_messages.h, spoken here a second time with Python's hmac. The clock
 is CLOCK_MONOTONIC, which all processes share. Tolerances: joints 0.01 rad, as the machine itself allows a master.
@@ -21,6 +22,7 @@ import json
 import math
 import os
 import random
+import resource
 import select
 import shutil
 import signal
@@ -421,6 +423,12 @@ def try_tasks(machine, task):
     sent("what is no task", task[:size] + struct.pack(">I", len(yaml)) + yaml, False, "the task that came")
     accepted, words = link.order(EXECUTE)
     check(not accepted and "only a downloaded task" in words, f"nothing is executed: {words}")
+    process, files = machine.process.pid, resource.RLIMIT_NOFILE
+    before = resource.prlimit(process, files)
+    used = {int(number) for number in os.listdir(f"/proc/{process}/fd")}
+    resource.prlimit(process, files, (min(set(range(1024)) - used) + 1, before[1]))  # one more: a pipe needs two
+    sent("where no process can be begun to check it", task, False, "a pipe: ")
+    resource.prlimit(process, files, before)
     sent("as it was validated", task, True, "held")
     link.mode(HOLDING)
     for order, name, mode in ((EXECUTE, "execute", WORKING), (PAUSE, "pause", PAUSED), (RESUME, "resume", WORKING)):

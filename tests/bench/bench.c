@@ -158,7 +158,6 @@ int main(int argc, char **argv)
     bench_soil(&b);
     bench_servo(&b);
     bench_trajectory(&b);
-    bench_clock(&b);
     bench_panel(&b);
     return 0;
 }

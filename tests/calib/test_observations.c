@@ -53,6 +53,32 @@ static void test_new(void **state)
     td_observations_free(NULL);
 }
 
+static void test_set(void **state)
+{
+    (void)state;
+    const char *const names[] = {"a"};
+    td_error error = {0};
+    td_detection seen;
+    td_observations *o = make_observations(names, 1);
+    check_ok(td_detection_init(&seen, POINTS, &error), error);
+    for (size_t i = 0; i < 2 * POINTS; i++) seen.point[i] = (double)i + 0.25;
+    for (size_t i = 0; i < POINTS; i++) seen.sigma[i] = 0.01 * (double)(i + 1);
+    seen.blur_px = 0.7;
+    td_observations_set(o, 0, 1, &seen); /* points that are not believed */
+    assert_int_equal(td_observations_seen(o, 0, 1), 0);
+    assert_true(isnan(td_observations_get(o, 0, 1)->point[0]));
+    seen.found = true;
+    td_observations_set(o, 0, 1, &seen);
+    const td_detection *d = td_observations_get(o, 0, 1);
+    assert_int_equal(td_observations_seen(o, 0, 1), POINTS);
+    assert_memory_equal(d->point, seen.point, 2 * POINTS * sizeof *d->point);
+    assert_memory_equal(d->sigma, seen.sigma, POINTS * sizeof *d->sigma);
+    assert_true(d->blur_px == seen.blur_px);
+    assert_int_equal(td_observations_seen(o, 0, 0), 0);
+    td_detection_free(&seen);
+    td_observations_free(&o);
+}
+
 /* ---- points ---- */
 
 static const char *const hostile_names[] = {"plain",        "with, comma", "#comment", " blank before",
@@ -571,7 +597,7 @@ static void test_cancel(void **state)
     td_progress progress = {stop_after_two, &calls};
     td_observe_options options = {.threads = 1, .progress = &progress};
     td_observations *o = NULL;
-    check_fails(td_observe(&o, d, &options, &error), TD_ERROR_CANCELLED, error, "cancelled");
+    check_fails(td_observe(&o, d, &options, &error), TD_ERROR_CANCELLED, error, "interrupted");
     assert_null(o);
     assert_int_equal(calls, 2);
     td_dataset_free(&d);
@@ -633,17 +659,13 @@ static void test_observe_clicks(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_new),
-                                       ON_DISK(test_round_trip),
-                                       cmocka_unit_test(test_points_that_suffice),
-                                       ON_DISK(test_bad_points),
-                                       ON_DISK(test_clicks),
-                                       ON_DISK(test_bad_clicks),
-                                       ON_DISK(test_observe),
-                                       ON_DISK(test_observe_on_threads),
-                                       ON_DISK(test_observe_fails),
-                                       ON_DISK(test_observe_corners),
-                                       ON_DISK(test_cancel),
-                                       ON_DISK(test_observe_clicks)};
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_new),       cmocka_unit_test(test_set),
+        ON_DISK(test_round_trip),         cmocka_unit_test(test_points_that_suffice),
+        ON_DISK(test_bad_points),         ON_DISK(test_clicks),
+        ON_DISK(test_bad_clicks),         ON_DISK(test_observe),
+        ON_DISK(test_observe_on_threads), ON_DISK(test_observe_fails),
+        ON_DISK(test_observe_corners),    ON_DISK(test_cancel),
+        ON_DISK(test_observe_clicks)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -47,6 +47,24 @@ static void test_parts(void **state)
     td_hash_free(NULL);
 }
 
+static td_status add_letters(td_hash *hash, const void *user, td_error *error)
+{
+    const char *text = user;
+    if (!*text) return td_fail(error, TD_ERROR_DATA, "no letters");
+    for (; *text; text++) td_hash_add(hash, text, 1);
+    return TD_OK;
+}
+
+static void test_made(void **state)
+{
+    (void)state;
+    td_error error = {0};
+    char hex[TD_HASH_HEX_SIZE];
+    check_ok(td_hash_make(hex, add_letters, vector[2].text, &error), error);
+    assert_string_equal(hex, vector[2].hex);
+    check_fails(td_hash_make(hex, add_letters, "", &error), TD_ERROR_DATA, error, "no letters");
+}
+
 static void test_file(void **state)
 {
     td_error error = {0};
@@ -70,6 +88,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_vectors),
         cmocka_unit_test(test_parts),
+        cmocka_unit_test(test_made),
         cmocka_unit_test_setup_teardown(test_file, scratch_make, scratch_remove),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -353,7 +353,8 @@ static void test_refusals(void **state)
     td_progress progress = {stop, &calls};
     options = td_solve_options_default();
     options.progress = &progress;
-    check_fails(td_problem_solve(sc.problem, NULL, &options, &error), TD_ERROR_CANCELLED, error, "cancelled");
+    check_fails(td_problem_solve(sc.problem, NULL, &options, &error), TD_ERROR_CANCELLED, error,
+                "interrupted");
     td_problem_free(&sc.problem);
 }
 

@@ -67,13 +67,9 @@ static inline void site_scene_free(site_scene *s)
 /* The raw images of a frame; the scenes here stand still. */
 static inline td_pose site_render(td_image *image[2], site_scene *s, size_t frame)
 {
-    const td_scene_image *i = &s->file->image;
-    td_view_options o = td_view_options_default();
+    const td_view_options o = td_view_options_of_scene(&s->file->image);
     td_pose site_from_rig;
     td_error error;
-    o.samples = i->samples, o.blur_px = i->blur_px, o.vignetting = i->vignetting;
-    o.gain = i->gain, o.offset = i->offset;
-    o.read_noise = i->read_noise, o.shot_noise = i->shot_noise;
     td_scene_pose(s->file, frame, &site_from_rig);
     for (int k = 0; k < 2; k++) {
         td_view *view = NULL;

@@ -713,15 +713,40 @@ static void test_refusals(void **state)
     td_rig_free(&rig);
 }
 
+static void test_options_of_scene(void **state)
+{
+    (void)state;
+    const td_scene_image image = {.samples = 2,
+                                  .blur_px = 0.1,
+                                  .vignetting = 0.2,
+                                  .gain = 1.3,
+                                  .offset = 4,
+                                  .read_noise = 0.5,
+                                  .shot_noise = 0.06};
+    const td_view_options o = td_view_options_of_scene(&image);
+    assert_int_equal(o.samples, image.samples);
+    assert_true(o.blur_px == image.blur_px && o.vignetting == image.vignetting);
+    assert_true(o.gain == image.gain && o.offset == image.offset);
+    assert_true(o.read_noise == image.read_noise && o.shot_noise == image.shot_noise);
+    assert_true(o.seed == 0 && o.threads == 0);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_plane),          cmocka_unit_test(test_brute_force),
-        cmocka_unit_test(test_block),          cmocka_unit_test(test_update),
-        cmocka_unit_test(test_primitives),     cmocka_unit_test(test_triangles),
-        cmocka_unit_test(test_left_and_right), cmocka_unit_test(test_threads),
-        cmocka_unit_test(test_picture),        cmocka_unit_test(test_sensor),
-        cmocka_unit_test(test_grain),          cmocka_unit_test(test_refusals),
+        cmocka_unit_test(test_plane),
+        cmocka_unit_test(test_brute_force),
+        cmocka_unit_test(test_block),
+        cmocka_unit_test(test_update),
+        cmocka_unit_test(test_primitives),
+        cmocka_unit_test(test_triangles),
+        cmocka_unit_test(test_left_and_right),
+        cmocka_unit_test(test_threads),
+        cmocka_unit_test(test_picture),
+        cmocka_unit_test(test_sensor),
+        cmocka_unit_test(test_grain),
+        cmocka_unit_test(test_refusals),
+        cmocka_unit_test(test_options_of_scene),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

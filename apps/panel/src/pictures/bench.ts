@@ -154,9 +154,17 @@ export function chooser(bench: Bench, wants: (row: BenchRow) => boolean, label: 
   return choice.root;
 }
 
-/** Said where the server has no pictures to work on. */
-export function nothing(link: Link, service: string, text: string, command: string): HTMLElement {
-  const root = h('div', { class: 'card lonely', hidden: true }, h('p', {}, text), h('pre', {}, h('code', {}, command)));
-  link.onChange(() => (root.hidden = link.state !== 'live' || link.has(service)));
-  return root;
+/** A view of pictures: what it shows, or, where the server has none to work on, how it is begun with some. */
+export function offer(root: HTMLElement, link: Link, service: 'OpenBench' | 'Store', shown: HTMLElement): void {
+  const [text, command] = {
+    OpenBench: ['This panel was begun without datasets. Those that may be worked on are named on its command line:', 'teledimos panel SCENARIO -o DIR --bench DATASET'],
+    Store: ['This panel was begun without cameras. A camera, a video or a folder of pictures can be named on its command line:', 'teledimos panel SCENARIO -o DIR --left /dev/video0 --right /dev/video2'],
+  }[service];
+  const lonely = h('div', { class: 'card lonely', hidden: true }, h('p', {}, text), h('pre', {}, h('code', {}, command)));
+  root.append(lonely, shown);
+  link.onChange(() => {
+    const live = link.state === 'live';
+    lonely.hidden = !live || link.has(service);
+    if (live) shown.hidden = !link.has(service);
+  });
 }

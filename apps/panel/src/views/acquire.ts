@@ -3,7 +3,7 @@
 import '../pictures/pictures.css';
 import { card, h, number, write } from '../dom';
 import type { Link } from '../link';
-import { nothing } from '../pictures/bench';
+import { offer } from '../pictures/bench';
 import { Pane } from '../pictures/pane';
 
 export const id = 'acquire';
@@ -121,10 +121,7 @@ export function mount(root: HTMLElement, link: Link): void {
     ),
     h('div', { class: 'wide' }, card('Live', h('div', { class: 'panes' }, ...panes.map((p) => p.root)), h('p', { class: 'note' }, 'What is stored can be looked at, calibrated and matched in ', h('a', { href: '#calibrate' }, 'Calibrate'), ' and ', h('a', { href: '#match' }, 'Match'), ', as “acquired”.'))),
   );
-  root.append(nothing(link, 'Store', 'This panel was begun without cameras. A camera, a video or a folder of pictures can be named on its command line:', 'teledimos panel SCENARIO -o DIR --left /dev/video0 --right /dev/video2'), shown);
-  link.onChange(() => {
-    shown.hidden = link.state === 'live' ? !link.has('Store') : shown.hidden;
-  });
+  offer(root, link, 'Store', shown);
   // To zoom in on while focusing, a pane needs its loupe: a click does nothing else.
   for (const p of panes) p.onPick = () => undefined;
   watch();

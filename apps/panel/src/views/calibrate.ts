@@ -4,7 +4,7 @@
 import '../pictures/pictures.css';
 import { card, h, number, s, write } from '../dom';
 import type { Link } from '../link';
-import { Bench, chooser, nothing } from '../pictures/bench';
+import { Bench, chooser, offer } from '../pictures/bench';
 import { Pane, type Line, type Mark } from '../pictures/pane';
 import { resultTable, type Result } from '../pictures/result';
 
@@ -104,11 +104,8 @@ class View {
         h('div', { class: 'halves' }, card('What the views cover', this.look, this.cover, this.wish), card('Calibration', this.solveWhy, this.solve, this.solveTold, this.result)),
       ),
     );
-    root.append(nothing(link, 'OpenBench', 'This panel was begun without datasets. Those that may be worked on are named on its command line:', 'teledimos panel SCENARIO -o DIR --bench DATASET'), shown);
-    link.onChange(() => {
-      shown.hidden = link.state === 'live' ? !link.has('OpenBench') : shown.hidden;
-      this.update();
-    });
+    offer(root, link, 'OpenBench', shown);
+    link.onChange(() => this.update());
     this.bench.onChange((what) => {
       if (what === 'opened') void this.opened();
     });

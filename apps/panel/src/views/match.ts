@@ -4,7 +4,7 @@
 import '../pictures/pictures.css';
 import { card, degrees, h, newId, number, write } from '../dom';
 import type { Link } from '../link';
-import { Bench, chooser, nothing, select } from '../pictures/bench';
+import { Bench, chooser, offer, select } from '../pictures/bench';
 import { Pane, type Line, type Mark } from '../pictures/pane';
 import { Plan } from '../pictures/plan';
 
@@ -110,13 +110,10 @@ class View {
         card('Points in space', table('The points, newest first', ['Point', 'x m', 'y m', 'z m', 'σ mm', 'zncc', 'left px', 'right px'], this.pointBody)),
       ),
     );
-    root.append(nothing(link, 'OpenBench', 'This panel was begun without datasets. Those that may be worked on are named on its command line:', 'teledimos panel SCENARIO -o DIR --bench DATASET'), shown);
+    offer(root, link, 'OpenBench', shown);
     root.addEventListener('keydown', (event) => this.onKey(event));
     root.addEventListener('shown', () => void this.bench.refresh());
-    link.onChange(() => {
-      shown.hidden = link.state === 'live' ? !link.has('OpenBench') : shown.hidden;
-      this.update();
-    });
+    link.onChange(() => this.update());
     this.bench.onChange((what) => {
       if (what === 'rows') this.showRigs();
       if (what === 'lost') this.forget('The bench was lost, and its points with it.');

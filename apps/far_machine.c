@@ -1,4 +1,4 @@
-#include "apps/panel_machine.h"
+#include "apps/far_machine.h"
 
 #include <openssl/crypto.h>
 #include <poll.h>
@@ -19,7 +19,7 @@ typedef struct lane {
     panel_ring there, back;
 } lane;
 
-struct panel_machine {
+struct far_machine {
     /* given */
     uint8_t token[TD_LINK_TOKEN_MAX];
     td_link_options options;
@@ -36,7 +36,7 @@ struct panel_machine {
     bool started;
     /* the link's thread */
     td_link *link, *images;
-    panel_measured now;
+    far_measured now;
     double again_s, images_again_s, told_s, beat_s;
     unsigned long long beat;
     bool silenced; /* stopped, for a session that does not beat */
@@ -47,13 +47,13 @@ struct panel_machine {
 
 static void release_said(void *thing)
 {
-    free(((panel_said *)thing)->text);
+    free(((far_said *)thing)->text);
     free(thing);
 }
 
 static void release_picture(void *thing)
 {
-    free(((panel_picture *)thing)->bytes);
+    free(((far_picture *)thing)->bytes);
     free(thing);
 }
 
@@ -81,13 +81,13 @@ static void lane_give_back(lane *l, void *thing)
 
 /* ---- told to the others ---- */
 
-static void show(panel_machine *m, double now_s)
+static void show(far_machine *m, double now_s)
 {
     m->told_s = now_s;
     if (m->link) m->now.link = td_link_measure_of(m->link, now_s);
     lane *const lanes[] = {&m->states, &m->shown};
     for (int i = 0; i < 2; i++) {
-        panel_measured *x = lane_fresh(lanes[i], sizeof *x);
+        far_measured *x = lane_fresh(lanes[i], sizeof *x);
         if (!x) continue;
         *x = m->now;
         (void)panel_ring_put(&lanes[i]->there, x);
@@ -95,12 +95,12 @@ static void show(panel_machine *m, double now_s)
     m->wake(m->user);
 }
 
-static void report(panel_machine *m, const panel_heard *heard)
+static void report(far_machine *m, const far_heard *heard)
 {
     lane *const lanes[] = {&m->heard, &m->lines};
     for (int i = 0; i < 2; i++) {
-        if (i == 0 && heard->kind == PANEL_TOLD) continue; /* the session knows */
-        panel_heard *x = lane_fresh(lanes[i], sizeof *x);
+        if (i == 0 && heard->kind == FAR_TOLD) continue; /* the session knows */
+        far_heard *x = lane_fresh(lanes[i], sizeof *x);
         if (!x) continue;
         *x = *heard;
         if (!panel_ring_offer(&lanes[i]->there, x)) free(x);
@@ -108,9 +108,9 @@ static void report(panel_machine *m, const panel_heard *heard)
     m->wake(m->user);
 }
 
-static TD_PRINTF(3, 4) void report_text(panel_machine *m, int kind, const char *format, ...)
+static TD_PRINTF(3, 4) void report_text(far_machine *m, int kind, const char *format, ...)
 {
-    panel_heard h = {.kind = kind};
+    far_heard h = {.kind = kind};
     va_list list;
     va_start(list, format);
     vsnprintf(h.answer.text, sizeof h.answer.text, format, list);
@@ -120,7 +120,7 @@ static TD_PRINTF(3, 4) void report_text(panel_machine *m, int kind, const char *
 
 /* ---- the link ---- */
 
-static void lose(panel_machine *m, const char *why, double now_s)
+static void lose(far_machine *m, const char *why, double now_s)
 {
     const bool was = m->now.open;
     const bool news = was || strcmp(m->now.why, why) != 0;
@@ -130,11 +130,11 @@ static void lose(panel_machine *m, const char *why, double now_s)
     td_link_free(&m->images);
     m->again_s = now_s + AGAIN_S;
     if (!news) return;
-    report_text(m, PANEL_UNLINKED, "%s", why);
+    report_text(m, FAR_UNLINKED, "%s", why);
     show(m, now_s);
 }
 
-static void connect_again(panel_machine *m, double now_s)
+static void connect_again(far_machine *m, double now_s)
 {
     td_error error = {0};
     if (m->link || now_s < m->again_s) return;
@@ -142,7 +142,7 @@ static void connect_again(panel_machine *m, double now_s)
 }
 
 /* Images may come late, or not at all: the state has a link of its own. */
-static void see_images(panel_machine *m, double now_s)
+static void see_images(far_machine *m, double now_s)
 {
     td_error unused;
     if (!m->now.open || m->images || now_s < m->images_again_s) return;
@@ -151,7 +151,7 @@ static void see_images(panel_machine *m, double now_s)
     (void)td_link_connect(&m->images, m->at, &o, now_s, &unused);
 }
 
-static void take_welcome(panel_machine *m, const td_machine_welcome *w, double now_s)
+static void take_welcome(far_machine *m, const td_machine_welcome *w, double now_s)
 {
     char why[300];
     m->welcome = *w;
@@ -165,15 +165,15 @@ static void take_welcome(panel_machine *m, const td_machine_welcome *w, double n
         m->now.has_state = false;
         m->now.why[0] = 0;
         m->silenced = false;
-        report_text(m, PANEL_LINKED, "%s: a %s, model %.8s", td_link_peer(m->link), w->robot, w->model);
+        report_text(m, FAR_LINKED, "%s: a %s, model %.8s", td_link_peer(m->link), w->robot, w->model);
         return;
     }
     lose(m, why, now_s);
 }
 
-static void take(panel_machine *m, const td_machine_message *message, double now_s)
+static void take(far_machine *m, const td_machine_message *message, double now_s)
 {
-    panel_heard h = {0};
+    far_heard h = {0};
     switch (message->kind) {
     case TD_MACHINE_WELCOME:
         take_welcome(m, &message->as.welcome, now_s);
@@ -186,11 +186,11 @@ static void take(panel_machine *m, const td_machine_message *message, double now
         show(m, now_s);
         return;
     case TD_MACHINE_ANSWER:
-        h.kind = PANEL_ANSWERED;
+        h.kind = FAR_ANSWERED;
         h.answer = message->as.answer;
         break;
     case TD_MACHINE_STOPPED:
-        h.kind = PANEL_STOPPED;
+        h.kind = FAR_STOPPED;
         h.stopped = message->as.stopped;
         snprintf(h.answer.text, sizeof h.answer.text, "%s", h.stopped.why);
         break;
@@ -200,7 +200,7 @@ static void take(panel_machine *m, const td_machine_message *message, double now
     report(m, &h);
 }
 
-static void hear(panel_machine *m, double now_s)
+static void hear(far_machine *m, double now_s)
 {
     static td_machine_message message; /* large; one machine a program */
     td_link_frame frame;
@@ -220,9 +220,9 @@ static void hear(panel_machine *m, double now_s)
     }
 }
 
-static void keep_picture(panel_machine *m, const td_machine_image *image, double now_s)
+static void keep_picture(far_machine *m, const td_machine_image *image, double now_s)
 {
-    panel_picture *p = lane_fresh(&m->pictures, sizeof *p);
+    far_picture *p = lane_fresh(&m->pictures, sizeof *p);
     if (!p) return;
     uint8_t *bytes = realloc(p->bytes, image->size + 1);
     if (!bytes) {
@@ -230,13 +230,13 @@ static void keep_picture(panel_machine *m, const td_machine_image *image, double
         return;
     }
     memcpy(bytes, image->jpeg, image->size);
-    *p = (panel_picture){.image = *image, .heard_s = now_s, .bytes = bytes};
+    *p = (far_picture){.image = *image, .heard_s = now_s, .bytes = bytes};
     p->image.jpeg = bytes;
     (void)panel_ring_put(&m->pictures.there, p);
     m->wake(m->user);
 }
 
-static void hear_images(panel_machine *m, double now_s)
+static void hear_images(far_machine *m, double now_s)
 {
     static td_machine_message message;
     td_link_frame frame;
@@ -251,14 +251,14 @@ static void hear_images(panel_machine *m, double now_s)
 
 /* ---- said ---- */
 
-static void send(panel_machine *m, const panel_said *s)
+static void send(far_machine *m, const far_said *s)
 {
     td_machine_message message = {.kind = s->kind};
     td_error error = {0};
     if (s->kind == TD_MACHINE_TASK) {
         message.as.task =
             (td_machine_task){.validation = s->validation, .text = s->text, .size = strlen(s->text)};
-        report_text(m, PANEL_TOLD, "task %s", s->validation.task);
+        report_text(m, FAR_TOLD, "task %s", s->validation.task);
     } else if (s->kind == TD_MACHINE_PLAN) {
         message.as.plan.text = s->text;
         message.as.plan.size = strlen(s->text);
@@ -266,26 +266,26 @@ static void send(panel_machine *m, const panel_said *s)
         message.as.look = s->look;
     } else if (s->kind == TD_MACHINE_ORDER) {
         message.as.order = s->order;
-        report_text(m, PANEL_TOLD, "%s", td_machine_order_name(s->order));
+        report_text(m, FAR_TOLD, "%s", td_machine_order_name(s->order));
     } else {
         message.as.joints.joints = m->joints;
         message.as.joints.command = s->command;
     }
     if (td_machine_send(m->link, &message, s->kind == TD_MACHINE_JOINTS, &error) != TD_OK &&
         s->kind != TD_MACHINE_JOINTS)
-        report_text(m, PANEL_ANSWERED, "it was not sent: %s", error.message);
+        report_text(m, FAR_ANSWERED, "it was not sent: %s", error.message);
 }
 
 /* What is said to a machine that is not there is lost: it stands, or stops by itself. */
-static void say_all(panel_machine *m)
+static void say_all(far_machine *m)
 {
-    for (panel_said *s; (s = panel_ring_take(&m->said.there)); lane_give_back(&m->said, s))
+    for (far_said *s; (s = panel_ring_take(&m->said.there)); lane_give_back(&m->said, s))
         if (m->now.open) send(m, s);
 }
 
-static void watch_session(panel_machine *m, double now_s)
+static void watch_session(far_machine *m, double now_s)
 {
-    static const panel_said stop = {.kind = TD_MACHINE_ORDER, .order = TD_ORDER_STOP};
+    static const far_said stop = {.kind = TD_MACHINE_ORDER, .order = TD_ORDER_STOP};
     const unsigned long long beat = atomic_load(&m->beats);
     const td_machine_mode mode = m->now.state.mode;
     const bool moves = m->now.open && m->now.has_state && (mode == TD_MODE_WORKING || mode == TD_MODE_MANUAL);
@@ -296,13 +296,13 @@ static void watch_session(panel_machine *m, double now_s)
     }
     if (m->silenced || now_s < m->beat_s + m->silent_s) return;
     m->silenced = true;
-    report_text(m, PANEL_TOLD, "the session does not go on: the machine is stopped");
+    report_text(m, FAR_TOLD, "the session does not go on: the machine is stopped");
     send(m, &stop);
 }
 
 /* ---- the thread ---- */
 
-static void wait(const panel_machine *m)
+static void wait(const far_machine *m)
 {
     struct pollfd p[2];
     nfds_t n = 0;
@@ -315,7 +315,7 @@ static void wait(const panel_machine *m)
     (void)poll(p, n, (int)(1e3 * LOOK_S));
 }
 
-static void say_farewell(panel_machine *m)
+static void say_farewell(far_machine *m)
 {
     const double until = td_machine_now_s() + FAREWELL_S;
     say_all(m);
@@ -331,7 +331,7 @@ static void say_farewell(panel_machine *m)
 static void *serve(void *user)
 {
     static const struct sched_param soon = {.sched_priority = 10};
-    panel_machine *m = user;
+    far_machine *m = user;
     /* Where it may: the heart beats before anything that computes. */
     (void)pthread_setschedparam(pthread_self(), SCHED_FIFO, &soon);
     while (!atomic_load(&m->stop)) {
@@ -351,10 +351,10 @@ static void *serve(void *user)
 
 /* ---- from the start to the end ---- */
 
-td_status panel_machine_new(panel_machine **machine, const machine_address *address, const char *model,
-                            int joints, double silent_s, td_error *error)
+td_status far_machine_new(far_machine **machine, const machine_address *address, const char *model,
+                          int joints, double silent_s, td_error *error)
 {
-    panel_machine *m = *machine = calloc(1, sizeof *m);
+    far_machine *m = *machine = calloc(1, sizeof *m);
     if (!m || !lane_begin(&m->states, STATES, free) || !lane_begin(&m->heard, LINES, free) ||
         !lane_begin(&m->shown, STATES, free) || !lane_begin(&m->lines, LINES, free) ||
         !lane_begin(&m->pictures, PICTURES, release_picture) || !lane_begin(&m->said, SAID, release_said))
@@ -375,7 +375,7 @@ td_status panel_machine_new(panel_machine **machine, const machine_address *addr
 }
 
 /* Signals are the main thread's. */
-td_status panel_machine_start(panel_machine *m, void (*wake)(void *user), void *user, td_error *error)
+td_status far_machine_start(far_machine *m, void (*wake)(void *user), void *user, td_error *error)
 {
     sigset_t all, before;
     sigfillset(&all);
@@ -387,7 +387,7 @@ td_status panel_machine_start(panel_machine *m, void (*wake)(void *user), void *
     return m->started ? TD_OK : td_fail(error, TD_ERROR_EXTERNAL, "the machine's thread cannot be started");
 }
 
-void panel_machine_stop(panel_machine *m)
+void far_machine_stop(far_machine *m)
 {
     if (!m || !m->started) return;
     atomic_store(&m->stop, true);
@@ -395,11 +395,11 @@ void panel_machine_stop(panel_machine *m)
     m->started = false;
 }
 
-void panel_machine_free(panel_machine **machine)
+void far_machine_free(far_machine **machine)
 {
-    panel_machine *m = *machine;
+    far_machine *m = *machine;
     if (!m) return;
-    panel_machine_stop(m);
+    far_machine_stop(m);
     lane *const lanes[] = {&m->states, &m->heard, &m->shown, &m->lines, &m->pictures, &m->said};
     for (size_t i = 0; i < sizeof lanes / sizeof *lanes; i++) lane_end(lanes[i]);
     OPENSSL_cleanse(m->token, sizeof m->token);
@@ -409,29 +409,29 @@ void panel_machine_free(panel_machine **machine)
 
 /* ---- the session's thread ---- */
 
-bool panel_machine_state(panel_measured *newest, panel_machine *m)
+bool far_machine_state(far_measured *newest, far_machine *m)
 {
     bool found = false;
-    for (panel_measured *x; (x = panel_ring_take(&m->states.there)); lane_give_back(&m->states, x)) {
+    for (far_measured *x; (x = panel_ring_take(&m->states.there)); lane_give_back(&m->states, x)) {
         *newest = *x;
         found = true;
     }
     return found;
 }
 
-panel_heard *panel_machine_hear(panel_machine *m)
+far_heard *far_machine_hear(far_machine *m)
 {
     return panel_ring_take(&m->heard.there);
 }
 
-void panel_machine_heard(panel_machine *m, panel_heard *heard)
+void far_machine_heard(far_machine *m, far_heard *heard)
 {
     lane_give_back(&m->heard, heard);
 }
 
-bool panel_machine_say(panel_machine *m, const panel_said *said)
+bool far_machine_say(far_machine *m, const far_said *said)
 {
-    panel_said *s = lane_fresh(&m->said, sizeof *s);
+    far_said *s = lane_fresh(&m->said, sizeof *s);
     if (!s) {
         free(said->text);
         return false;
@@ -443,44 +443,44 @@ bool panel_machine_say(panel_machine *m, const panel_said *said)
     return false;
 }
 
-void panel_machine_beat(panel_machine *m)
+void far_machine_beat(far_machine *m)
 {
     atomic_fetch_add(&m->beats, 1);
 }
 
-void panel_machine_model(char model[TD_HASH_HEX_SIZE], const panel_machine *m)
+void far_machine_model(char model[TD_HASH_HEX_SIZE], const far_machine *m)
 {
     memcpy(model, m->model, TD_HASH_HEX_SIZE);
 }
 
 /* ---- the server's thread ---- */
 
-panel_measured *panel_machine_shown(panel_machine *m)
+far_measured *far_machine_shown(far_machine *m)
 {
     return panel_ring_take(&m->shown.there);
 }
 
-void panel_machine_was_shown(panel_machine *m, panel_measured *shown)
+void far_machine_was_shown(far_machine *m, far_measured *shown)
 {
     lane_give_back(&m->shown, shown);
 }
 
-panel_heard *panel_machine_line(panel_machine *m)
+far_heard *far_machine_line(far_machine *m)
 {
     return panel_ring_take(&m->lines.there);
 }
 
-void panel_machine_lined(panel_machine *m, panel_heard *line)
+void far_machine_lined(far_machine *m, far_heard *line)
 {
     lane_give_back(&m->lines, line);
 }
 
-panel_picture *panel_machine_picture(panel_machine *m)
+far_picture *far_machine_picture(far_machine *m)
 {
     return panel_ring_take(&m->pictures.there);
 }
 
-void panel_machine_pictured(panel_machine *m, panel_picture *picture)
+void far_machine_pictured(far_machine *m, far_picture *picture)
 {
     lane_give_back(&m->pictures, picture);
 }
