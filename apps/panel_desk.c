@@ -12,7 +12,7 @@
 #include "apps/panel_desk_internal.h"
 #include "core/document.h"
 
-enum { MOST_FAULTS = 20 };
+enum { MOST_FAULTS = 20, KEPT_FOR_STOPS = 16 };
 
 #define OBJECT(fields) "{\"type\":\"object\",\"additionalProperties\":false,\"properties\":{" fields "}}"
 #define NOTHING OBJECT("")
@@ -158,9 +158,10 @@ const char *desk_pass(panel_desk *d, const panel_client *client, const desk_pend
 {
     order->order = ++d->orders;
     json_object_set_new(fields, "order", json_integer((json_int_t)order->order));
-    const char *why = d->pending_count == DESK_PENDING ? "too many orders wait for their answers" : NULL;
     const bool stops = order->event == TD_EVENT_USER_STOP || order->event == TD_EVENT_ABORT ||
                        order->event == TD_EVENT_PAUSE;
+    const size_t room = stops ? DESK_PENDING : DESK_PENDING - KEPT_FOR_STOPS;
+    const char *why = d->pending_count >= room ? "too many orders wait for their answers" : NULL;
     if (!why && !audit_write(d->o.audit, "order", json_incref(fields)) && !stops)
         why = "the audit log cannot be written";
     json_decref(fields);
