@@ -3,8 +3,8 @@
  *
  * Each joins by WebSocket (RFC 6455, subprotocol foxglove.sdk.v1) and subscribes. Readers take all that comes
  * and answer pings. The silent ones read nothing, ever, through a small receive buffer, but ask for all
- * parameters each second; the panel puts such out after 10 s, so that each joins anew every 12 s: they are
- * there all the while. */
+ * parameters each second. The panel puts such out 10 s after its socket's buffer is full, which takes some
+ * seconds; each joins anew 18 s after it did, so that most of them are there all the while. */
 #ifndef TELEDIMOS_TESTS_WATCHERS_H
 #define TELEDIMOS_TESTS_WATCHERS_H
 
