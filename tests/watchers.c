@@ -312,7 +312,10 @@ static void join_again(crowd *c, double now)
         watcher *w = c->watcher + i;
         if (!w->silent || now < w->joined_s + AGAIN_S) continue;
         if (w->fd >= 0) close(w->fd);
-        if (!join(c, w)) w->fd = -1, w->joined_s = now;
+        if (join(c, w)) continue;
+        if (w->fd >= 0) close(w->fd);
+        w->fd = -1;
+        w->joined_s = now; /* and once more, later */
     }
 }
 
