@@ -20,7 +20,7 @@ enum {
     SMALL = 4096,
     PIECE = 1 << 17
 };
-static const double AGAIN_S = 18, LOOK_S = 1, PATIENCE_S = 20;
+static const double AGAIN_S = 20, LOOK_S = 1, PATIENCE_S = 20;
 
 typedef struct watcher {
     int fd; /* -1: closed */

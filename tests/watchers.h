@@ -4,7 +4,7 @@
  * Each joins by WebSocket (RFC 6455, subprotocol foxglove.sdk.v1) and subscribes. Readers take all that comes
  * and answer pings. The silent ones read nothing, ever, through a small receive buffer, but ask for all
  * parameters each second. The panel puts such out 10 s after its socket's buffer is full, which takes some
- * seconds; each joins anew 18 s after it did, so that most of them are there all the while. */
+ * seconds; each joins anew 20 s after it did, so that most of them are there all the while. */
 #ifndef TELEDIMOS_TESTS_WATCHERS_H
 #define TELEDIMOS_TESTS_WATCHERS_H
 
