@@ -306,16 +306,18 @@ static void read_some(crowd *c, watcher *w, double now)
     if (n <= 0 || !take_bytes(c, w, piece, (size_t)n)) leave(c, w);
 }
 
+/* One at a time: the others go on reading. */
 static void join_again(crowd *c, double now)
 {
     for (int i = 0; i < c->o.clients; i++) {
         watcher *w = c->watcher + i;
         if (!w->silent || now < w->joined_s + AGAIN_S) continue;
         if (w->fd >= 0) close(w->fd);
-        if (join(c, w)) continue;
+        if (join(c, w)) return;
         if (w->fd >= 0) close(w->fd);
         w->fd = -1;
         w->joined_s = now; /* and once more, later */
+        return;
     }
 }
 
@@ -368,6 +370,7 @@ static void watch(crowd *c)
     struct epoll_event event[64];
     double now = c->begun_s = now_s();
     c->panel_begun_s = panel_seconds(c->o.panel);
+    for (int i = 0; i < c->o.clients; i++) c->watcher[i].seen_s = now; /* nobody read while they joined */
     while (now < c->begun_s + c->o.seconds && c->open > 0) {
         const int n = epoll_wait(c->poll, event, 64, 100);
         now = now_s();
