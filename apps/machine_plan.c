@@ -64,15 +64,17 @@ static bool is_finite(const double *x, int count)
     return true;
 }
 
-static bool read_move(td_dig_move *m, json_t *row)
+/* Of one of the plan's passes and lanes. */
+static bool read_move(td_dig_move *m, const td_dig_plan *p, json_t *row)
 {
     int phase = -1, contact = 0;
     const bool read = json_unpack(row, "[iiiiFFF!]", &m->pass, &m->lane, &phase, &contact, &m->cut_m3,
                                   &m->load_m3, &m->depth_m) == 0;
     m->phase = (td_dig_phase)phase;
     m->contact = contact != 0;
-    return read && phase >= TD_DIG_RETURN && phase <= TD_DIG_DUMP && m->pass >= 0 && m->lane >= 0 &&
-           is_finite(&m->cut_m3, 1) && is_finite(&m->depth_m, 1);
+    return read && phase >= TD_DIG_RETURN && phase <= TD_DIG_DUMP && m->pass >= 0 &&
+           m->pass < p->pass_count && m->lane >= 0 && m->lane < p->lane_count && is_finite(&m->cut_m3, 1) &&
+           is_finite(&m->depth_m, 1);
 }
 
 /* Takes the joints of a step's position. */
@@ -105,7 +107,7 @@ static td_status read_all(td_dig_plan *p, json_t *o, td_error *error)
     p->move = calloc((size_t)count + 1, sizeof *p->move);
     if (!p->move) return td_fail(error, TD_ERROR_MEMORY, "no memory for a plan");
     for (int i = 0; i < count; i++)
-        if (!read_move(p->move + i, json_array_get(moves, (size_t)i)))
+        if (!read_move(p->move + i, p, json_array_get(moves, (size_t)i)))
             return td_fail(error, TD_ERROR_FORMAT, "the plan that came has no proper move %d", i + 1);
     TD_TRY(td_task_parse(&task, positions, strlen(positions), "the plan that came", error));
     p->move_count = count;

@@ -1,7 +1,10 @@
 /* The panel's server: one thread, libwebsockets, and all that comes from the session's rings.
  *
  * A watcher is sent what fits into its socket, a piece at a time, when libwebsockets says that it can take
- * more; so one that does not read costs a piece and its socket's buffer, and is closed after a while. */
+ * more; so one that does not read costs a piece and its socket's buffer, and is closed after a while. All
+ * that is new for a watcher goes out as one piece: with many watchers the system's calls are what costs, not
+ * the bytes. libwebsockets makes a call for each message, so that messages are framed here (RFC 6455, 5.2)
+ * and a piece is raw to it. */
 #include <libwebsockets.h>
 #include <pthread.h>
 #include <sched.h>
@@ -18,8 +21,8 @@
 #include "core/file.h"
 
 enum {
-    PIECE = 1 << 15, /* bytes */
-    AT_ONCE = 32,    /* messages to a client before the next one's turn */
+    PIECE = 1 << 16, /* bytes */
+    FRAME_HEAD = 4,  /* at most, of payloads shorter than a piece */
     SOCKET_BUFFER = 1 << 17,
 };
 
@@ -188,18 +191,43 @@ static int send_ping(panel_server *s, connection *c)
     return lws_write(c->wsi, s->piece + LWS_PRE, 1, LWS_WRITE_PING) < 1 ? -1 : 0;
 }
 
-static int send_some(panel_server *s, connection *c)
+/* Sets the head of a frame in front of its payload, which lies FRAME_HEAD behind; the frame's size. */
+static size_t frame(unsigned char *bytes, size_t size, bool first, bool last, bool binary)
+{
+    bytes[0] = (unsigned char)((last ? 0x80 : 0) | (!first ? 0 : binary ? 2 : 1));
+    if (size < 126) {
+        bytes[1] = (unsigned char)size;
+        memmove(bytes + 2, bytes + FRAME_HEAD, size);
+        return 2 + size;
+    }
+    bytes[1] = 126;
+    bytes[2] = (unsigned char)(size >> 8);
+    bytes[3] = (unsigned char)(size & 255);
+    return FRAME_HEAD + size;
+}
+
+/* Frames until half of the piece is full: only a message that is longer than the rest is parted. */
+static size_t fill_piece(panel_server *s, connection *c)
 {
     bool first, last, binary;
+    size_t used = 0;
+    while (used < PIECE / 2) {
+        unsigned char *at = s->piece + LWS_PRE + used;
+        const size_t size = panel_outbox_give(&c->client.box, &s->feed.hub, at + FRAME_HEAD,
+                                              PIECE - FRAME_HEAD - used, &first, &last, &binary);
+        if (size == 0) break;
+        used += frame(at, size, first, last, binary);
+    }
+    return used;
+}
+
+static int send_some(panel_server *s, connection *c)
+{
     if (c->client.why[0]) return close_now(c);
     if (send_ping(s, c) != 0) return -1;
-    for (int i = 0; i < AT_ONCE && !lws_send_pipe_choked(c->wsi); i++) {
-        unsigned char *bytes = s->piece + LWS_PRE;
-        const size_t size =
-            panel_outbox_give(&c->client.box, &s->feed.hub, bytes, PIECE, &first, &last, &binary);
-        if (size == 0) return 0;
-        const int flags = lws_write_ws_flags(binary ? LWS_WRITE_BINARY : LWS_WRITE_TEXT, first, last);
-        if (lws_write(c->wsi, bytes, size, (enum lws_write_protocol)flags) < (int)size) return -1;
+    const size_t size = lws_send_pipe_choked(c->wsi) ? 0 : fill_piece(s, c);
+    if (size > 0) {
+        if (lws_write(c->wsi, s->piece + LWS_PRE, size, LWS_WRITE_RAW) < (int)size) return -1;
         c->moved_s = terminal_now_s();
     }
     if (c->ping || panel_outbox_has(&c->client.box, &s->feed.hub)) lws_callback_on_writable(c->wsi);
@@ -433,8 +461,8 @@ static td_status listen_on(panel_server *s, td_error *error)
 {
     static const struct lws_protocols protocols[] = {
         {"http", on_http, sizeof(transfer), 0, 0, NULL, 0},
-        {PANEL_PROTOCOL_SDK, on_socket, sizeof(connection), 4096, 0, NULL, 0},
-        {PANEL_PROTOCOL_WEBSOCKET, on_socket, sizeof(connection), 4096, 0, NULL, 0},
+        {PANEL_PROTOCOL_SDK, on_socket, sizeof(connection), 4096, 0, NULL, PIECE},
+        {PANEL_PROTOCOL_WEBSOCKET, on_socket, sizeof(connection), 4096, 0, NULL, PIECE},
         {bench_protocol, on_bench, 0, 0, 0, NULL, 0},
         {NULL, NULL, 0, 0, 0, NULL, 0},
     };

@@ -227,7 +227,7 @@ static void be_modest(void)
     (void)setpriority(PRIO_PROCESS, 0, 10);
     const struct rlimit none = {0, 0};
     (void)setrlimit(RLIMIT_CORE, &none);
-#if !defined(__SANITIZE_ADDRESS__)
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
     const struct rlimit memory = {(rlim_t)4 << 30, (rlim_t)4 << 30};
     (void)setrlimit(RLIMIT_AS, &memory);
 #endif

@@ -113,7 +113,8 @@ bool all_held(const td_problem &problem, const td_residual &residual)
 td_status solve(td_problem &problem, td_solve_summary &summary, const td_solve_options &options,
                 td_error *error)
 {
-    FLAGS_minloglevel = google::GLOG_FATAL; // Ceres speaks through its summary, not on stderr
+    // Ceres speaks through its summary, not on stderr. Once: other threads solve, too.
+    [[maybe_unused]] static const int quiet = FLAGS_minloglevel = google::GLOG_FATAL;
     // Ceres orders blocks by their address: copies in the order of the blocks make its sums, and so the last
     // bits of the result, the same wherever the caller's values lie.
     std::vector<double> store;

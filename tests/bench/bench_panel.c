@@ -1,82 +1,37 @@
-/* What watchers cost a session in real time: teledimos panel with fifty clients, five of whom read nothing,
- * beside the same without any. How late its ticks come (one in a hundred), how many are missed, and how many
- * messages a second those get who read. */
-#include <arpa/inet.h>
-#include <fcntl.h>
+/* What watchers cost a session in real time: teledimos panel with two hundred clients, twenty of whom read
+ * nothing (tests/watchers.h), for a minute, beside the same without any. How late its ticks come (one in a
+ * hundred), how many are missed, how many messages a second those get who read, and what that takes. */
 #include <jansson.h>
 #include <math.h>
-#include <poll.h>
-#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/socket.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include "tests/bench/bench.h"
+#include "tests/watchers.h"
 
-enum { WATCHERS = 50, SILENT = 5 };
-static const char SECONDS[] = "8";
-
-/* ---- watchers ---- */
-
-static int join_in(int port)
-{
-    static const char hello[] =
-        "GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
-        "Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n";
-    static const char ask[] = "{\"op\":\"subscribe\",\"subscriptions\":[{\"id\":1,\"channelId\":1},"
-                              "{\"id\":2,\"channelId\":2},{\"id\":4,\"channelId\":4}]}";
-    struct sockaddr_in at = {.sin_family = AF_INET, .sin_port = htons((uint16_t)port)};
-    unsigned char frame[8 + sizeof ask] = {0x81, 0x80 | 126, (sizeof ask - 1) >> 8, (sizeof ask - 1) & 255};
-    char answer[4096];
-    const int s = socket(AF_INET, SOCK_STREAM, 0);
-    at.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    memcpy(frame + 8, ask, sizeof ask - 1); /* the mask is 0 */
-    if (s < 0 || connect(s, (struct sockaddr *)&at, sizeof at) != 0 ||
-        write(s, hello, sizeof hello - 1) != (ssize_t)sizeof hello - 1 ||
-        read(s, answer, sizeof answer) <= 0 ||
-        write(s, frame, 8 + sizeof ask - 1) != (ssize_t)(8 + sizeof ask - 1)) {
-        if (s >= 0) close(s);
-        return -1;
-    }
-    return s;
-}
-
-/* Reads and throws away until told to end. No message is asked for whose pings would be due: eight seconds.
- */
-static void watch(int port)
-{
-    struct pollfd all[WATCHERS];
-    static char waste[1 << 18];
-    for (int i = 0; i < WATCHERS; i++) all[i] = (struct pollfd){.fd = join_in(port), .events = POLLIN};
-    for (int i = 0; i < SILENT; i++) all[i].fd = -1 - all[i].fd; /* open, and left alone */
-    for (;;) {
-        poll(all, WATCHERS, -1);
-        for (int i = 0; i < WATCHERS; i++)
-            if (all[i].revents && read(all[i].fd, waste, sizeof waste) <= 0) all[i].fd = -1;
-    }
-}
-
-/* ---- the panel ---- */
+enum { CLIENTS = 200, SILENT = 20, SECONDS = 60 };
 
 typedef struct session {
-    double late_us, misses, sent_1_s, ticks;
+    double late_us, misses, ticks;
+    double read_1_s, grown_mib, cpu_ms; /* cpu: in a second */
 } session;
 
 /* The program, its output and errors in pipes. */
 static pid_t start(const bench *b, const char *scenario, const char *folder, int *output, int *errors)
 {
     int out[2], err[2];
+    char seconds[16];
+    snprintf(seconds, sizeof seconds, "%d", SECONDS);
     if (pipe(out) != 0 || pipe(err) != 0) return -1;
     const pid_t child = fork();
     if (child == 0) {
         dup2(out[1], STDOUT_FILENO);
         dup2(err[1], STDERR_FILENO);
         for (int i = 0; i < 2; i++) close(out[i]), close(err[i]);
-        execl(b->program, b->program, "panel", scenario, "-o", folder, "--port", "0", "--for", SECONDS,
+        execl(b->program, b->program, "panel", scenario, "-o", folder, "--port", "0", "--for", seconds,
               "--on-miss", "catch-up", "--json", (char *)NULL);
         _exit(127);
     }
@@ -96,36 +51,62 @@ static int read_port(int errors)
     return colon ? atoi(colon + 1) : 0;
 }
 
+/* All but the last seconds, in which the panel ends. */
+static json_t *watch(int port, pid_t panel)
+{
+    const watchers_options o = {.port = port,
+                                .clients = CLIENTS,
+                                .silent = SILENT,
+                                .seconds = SECONDS - 4,
+                                .period_s = 0.05,
+                                .panel = panel};
+    char why[200];
+    json_t *told = watchers_run(&o, why);
+    if (!told) fprintf(stderr, "station: %s\n", why);
+    return told;
+}
+
+static json_t *read_result(int output)
+{
+    static char text[1 << 16];
+    size_t size = 0;
+    for (ssize_t n; size < sizeof text && (n = read(output, text + size, sizeof text - size)) > 0;)
+        size += (size_t)n;
+    return json_loadb(text, size, 0, NULL);
+}
+
+static double number(const json_t *object, const char *name)
+{
+    return json_number_value(json_object_get(object, name));
+}
+
 static bool run(session *found, const bench *b, bool watched)
 {
-    char scenario[1024], folder[] = "/tmp/teledimos-bench-XXXXXX", text[1 << 16];
-    int output = -1, errors = -1;
-    size_t size = 0;
-    ssize_t n;
+    char scenario[1024], folder[] = "/tmp/teledimos-bench-XXXXXX", clean[100];
+    int output = -1, errors = -1, status = -1;
     snprintf(scenario, sizeof scenario, "%s/datasets/zx200/paper.yaml", b->source);
     if (!mkdtemp(folder)) return false;
     const pid_t panel = start(b, scenario, folder, &output, &errors);
     const int port = panel > 0 ? read_port(errors) : 0;
-    const pid_t watchers = watched && port ? fork() : -1;
-    if (watchers == 0) watch(port);
-    while (size < sizeof text && (n = read(output, text + size, sizeof text - size)) > 0) size += (size_t)n;
-    if (watchers > 0) kill(watchers, SIGKILL), waitpid(watchers, NULL, 0);
-    int status = -1;
+    json_t *told = watched && port ? watch(port, panel) : NULL;
+    json_t *root = panel > 0 ? read_result(output) : NULL, *d = json_object_get(root, "deadlines"),
+           *memory = json_object_get(told, "memory_kib");
     if (panel > 0) waitpid(panel, &status, 0);
     close(output);
     close(errors);
-    char clean[100];
-    snprintf(clean, sizeof clean, "rm -rf %s", folder);
-    if (system(clean) != 0) return false;
-    json_t *root = json_loadb(text, size, 0, NULL), *d = json_object_get(root, "deadlines");
-    *found =
-        (session){.late_us = 1e6 * json_number_value(json_object_get(d, "late_p99_s")),
-                  .misses = json_number_value(json_object_get(d, "misses")),
-                  .ticks = json_number_value(json_object_get(d, "ticks")),
-                  .sent_1_s = json_number_value(json_object_get(json_object_get(root, "messages"), "sent")) /
-                              json_number_value(json_object_get(root, "time_s"))};
+    *found = (session){.late_us = 1e6 * number(d, "late_p99_s"),
+                       .misses = number(d, "misses"),
+                       .ticks = number(d, "ticks"),
+                       .read_1_s = number(told, "messages_1_s"),
+                       .grown_mib = (json_number_value(json_array_get(memory, 2)) -
+                                     json_number_value(json_array_get(memory, 1))) /
+                                    1024,
+                       .cpu_ms = 1e3 * number(told, "panel_cpu")};
+    const bool done = status == 0 && d && (told || !watched);
+    json_decref(told);
     json_decref(root);
-    return status == 0 && d;
+    snprintf(clean, sizeof clean, "rm -rf %s", folder);
+    return system(clean) == 0 && done;
 }
 
 void bench_panel(const bench *b)
@@ -133,9 +114,9 @@ void bench_panel(const bench *b)
     session with, without;
     if (!bench_wanted(b, "station")) return;
     const bool done = run(&without, b, false) && run(&with, b, true);
-    if (!done) with = without = (session){NAN, NAN, NAN, NAN};
+    if (!done) with = without = (session){NAN, NAN, NAN, NAN, NAN, NAN};
     const bench_row rows[] = {
-        {.name = "station, 50 clients: late p99",
+        {.name = "station, 200 clients: late p99",
          .unit = "us",
          .ours = with.late_us,
          .peer = without.late_us,
@@ -143,15 +124,14 @@ void bench_panel(const bench *b)
          .error_unit = "missed",
          .error_ours = with.misses,
          .error_peer = without.misses},
-        {.name = "station: messages sent",
-         .unit = "1/s",
-         .ours = with.sent_1_s,
-         .peer = NAN,
-         .peer_name = "none"},
+        {.name = "station: messages read", .unit = "1/s", .ours = with.read_1_s},
+        {.name = "station: processor, of 1 s", .unit = "ms", .ours = with.cpu_ms},
+        {.name = "station: memory grown", .unit = "MiB", .ours = with.grown_mib},
     };
-    for (int i = 0; i < 2; i++) {
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
         bench_row r = rows[i];
         r.runs = (int)without.ticks;
+        if (i > 0) r.peer = NAN, r.peer_name = "none";
         if (!done) r.runs = 0, r.remark = "teledimos panel cannot be run";
         bench_print(b, &r);
     }

@@ -1,0 +1,135 @@
+"""What two hundred clients cost teledimos panel, of whom twenty read nothing.
+
+They are those of tests/watchers.c, all channels, for a minute (TELEDIMOS_FULL: ten), in a program of its own that costs little,
+so that it is the panel that is measured. Without them (but for the one who observes) the same panel runs for a third of that
+(TELEDIMOS_FULL: as long), half before and half after. The session's thread has a real-time priority where that is permitted, as
+its manual has it; the server's never has.
+
+With a free processor: no more deadlines are missed than without, within what two counts differ by luck; those who read get all
+periods' transforms. With none, the machine is what is measured: then one tick in twenty more is let pass, and the figures are
+printed. Always: nobody waits for those who do not read, who are put out, and nobody else is; the memory that the panel holds
+after the first third is that of the first third.
+
+Reference: the panel's own count of deadlines (sim/clock, tested there), the kernel's of its memory. Bounds are stated where they
+stand. Blind to: what a client further away than this machine sees."""
+
+import json
+import math
+import os
+import subprocess
+import tempfile
+
+from common import FULL, PROGRAM, SANITIZED, check, finish
+from test_panel import Panel
+
+TESTS = os.environ["TELEDIMOS_TESTS"]
+SLOW = SANITIZED or "tsan" in PROGRAM
+CLIENTS, SILENT, PERIOD = 200, 20, 0.05
+SECONDS = 24 if SLOW else 600 if FULL else 60
+ALONE = 6 if SLOW else SECONDS if FULL else SECONDS / 3
+MEMORY_KIB = 1024
+PUT_OUT = ("it reads nothing", "it answers no ping", "its answers pile up")
+
+
+def first_in_time():
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+
+
+def urgent():
+    """What gives the panel a real-time priority; None: it may not have one."""
+    try:
+        subprocess.run(["true"], preexec_fn=first_in_time, check=True)
+        return first_in_time
+    except subprocess.SubprocessError:
+        return None
+
+
+def idle_s():
+    """Of all processors, since the machine began."""
+    with open("/proc/stat") as file:
+        ticks = [int(word) for word in file.readline().split()[1:]]
+    return (ticks[3] + ticks[4]) / os.sysconf("SC_CLK_TCK")
+
+
+def counted(observer):
+    observer.watch(0.6)  # they are told each half second
+    d = observer.newest("/diagnostics")
+    return d["misses"], d["ticks"]
+
+
+def during(observer, wait):
+    """Deadlines missed, and ticks, while it waits."""
+    before = counted(observer)
+    wait()
+    after = counted(observer)
+    return after[0] - before[0], after[1] - before[1]
+
+
+def watched(panel, observer):
+    """The watchers' report, deadlines missed, ticks, processors that were free."""
+    command = [os.path.join(TESTS, "watch_panel"), panel.port, CLIENTS, SILENT, SECONDS, PERIOD, panel.process.pid]
+    begun = idle_s()
+    with subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, text=True) as watchers:
+        missed, ticks = during(observer, lambda: observer.until(lambda: watchers.poll() is not None, SECONDS + 60))
+        check(watchers.poll() == 0, "the watchers come to their end")
+        if watchers.poll() != 0:
+            watchers.kill()
+            finish()
+        return json.loads(watchers.stdout.read()), missed, ticks, (idle_s() - begun) / (ticks * PERIOD)
+
+
+def judge_deadlines(missed, ticks, missed_alone, ticks_alone, free):
+    ratio = ticks / ticks_alone
+    expected = missed_alone * ratio
+    # The variance of a count is its mean; and one, for a count of none may as well be of a mean of one.
+    bound = expected + 3 * math.sqrt(expected + expected * ratio) + 1
+    if not free:
+        bound += 0.05 * ticks
+    check(missed <= bound, f"deadlines missed: {missed} of {ticks}, bound {bound:.1f}")
+
+
+def judge_readers(told, free):
+    check(told["readers"] == CLIENTS - SILENT and told["closed"] == 0, f"all who read are still there: {told['closed']} are not")
+    check(told["silence_s"][2] < (0.5 if free else 2), f"nobody waits for those who do not read: {told['silence_s'][2]:.3f} s")
+    # A state that is no longer new is skipped by design: of a server that has a processor, none.
+    check(not free or told["tf_share"][0] >= 0.98, f"and those who read have what happened: {told['tf_share'][0]:.3f} at least")
+    states = [told["messages"][topic] for topic in ("/tf", "/joints", "/joints/desired", "/tool", "/session")]
+    check(min(states) > 0.95 * max(states), f"of all channels: {told['messages']}")
+
+
+def judge_silent(panel, told):
+    out = [line for line in panel.audit() if line["what"] == "disconnect" and line["why"].startswith(PUT_OUT)]
+    # Those who joined last may leave before their time is up.
+    least, most = told["silent_joins"] - SILENT, told["silent_joins"]
+    check(least >= SILENT and least <= len(out) <= most, f"{len(out)} who read nothing were put out, of {most}")
+
+
+def main():
+    priority = urgent()
+    with tempfile.TemporaryDirectory() as folder, Panel(folder, before=priority) as panel:
+        observer = panel.client()
+        observer.subscribe("/diagnostics", "/session")
+        observer.until(lambda: observer.phase() == "ready")
+        before = during(observer, lambda: observer.watch(ALONE / 2))
+        told, missed, ticks, free_processors = watched(panel, observer)
+        after = during(observer, lambda: observer.watch(ALONE / 2))
+        missed_alone, ticks_alone = before[0] + after[0], before[1] + after[1]
+        memory, free = told["memory_kib"], not SLOW and free_processors >= 0.5
+        print(f"{told['readers']} of {CLIENTS} clients read {told['messages_1_s']:.0f} messages ({told['mb_1_s']:.1f} MB) a second for "
+              f"{told['seconds']:.0f} s, {'with' if priority else 'without'} a real-time priority, {free_processors:.2f} processors free:\n"
+              f"  missed {missed} of {ticks} deadlines, without clients {missed_alone} of {ticks_alone}\n"
+              f"  {told['tf_share'][0]:.3f} to {told['tf_share'][2]:.3f} of the periods' transforms; longest silence "
+              f"{1e3 * told['silence_s'][2]:.0f} ms (median of clients {1e3 * told['silence_s'][1]:.0f})\n"
+              f"  of a processor: the panel {told['panel_cpu']:.3f}, its clients {told['own_cpu']:.3f}\n"
+              f"  memory {memory[0]} KiB at first, then at most {memory[1]}, then at most {memory[2]}", flush=True)
+        judge_deadlines(missed, ticks, missed_alone, ticks_alone, free)
+        judge_readers(told, free)
+        # The allocator's pieces, and the recording's index; a sanitizer keeps what was freed.
+        check(SLOW or memory[2] <= memory[1] + MEMORY_KIB, f"memory stays: {memory} KiB")
+        judge_silent(panel, told)
+        code, text, errors = panel.end()
+        check(code == 0 and "put out" in text, f"it ends: {code} {errors.strip()}")
+    finish()
+
+
+main()
