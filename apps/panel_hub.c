@@ -3,6 +3,11 @@
 #include <stdlib.h>
 #include <string.h>
 
+enum {
+    FRAME_HEAD = 4,
+    MOST_PAYLOAD = 65535
+}; /* bytes: what a head with a length of 16 bits has, and tells */
+
 /* ---- messages ---- */
 
 static void let_go(panel_frame **frame)
@@ -189,4 +194,33 @@ size_t panel_outbox_give(panel_outbox *box, const panel_hub *hub, unsigned char 
         reply_free(&box->reply);
     }
     return put + now;
+}
+
+/* RFC 6455, 5.2: the head in front of its payload, which lies FRAME_HEAD behind; the frame's size. */
+static size_t set_head(unsigned char *bytes, size_t size, bool first, bool last, bool binary)
+{
+    bytes[0] = (unsigned char)((last ? 0x80 : 0) | (!first ? 0 : binary ? 2 : 1));
+    if (size < 126) {
+        bytes[1] = (unsigned char)size;
+        memmove(bytes + 2, bytes + FRAME_HEAD, size);
+        return 2 + size;
+    }
+    bytes[1] = 126;
+    bytes[2] = (unsigned char)(size >> 8);
+    bytes[3] = (unsigned char)(size & 255);
+    return FRAME_HEAD + size;
+}
+
+size_t panel_outbox_frames(panel_outbox *box, const panel_hub *hub, unsigned char *bytes, size_t room)
+{
+    bool first, last, binary;
+    size_t used = 0;
+    while (used < room / 2) {
+        unsigned char *at = bytes + used;
+        const size_t left = room - FRAME_HEAD - used < MOST_PAYLOAD ? room - FRAME_HEAD - used : MOST_PAYLOAD;
+        const size_t size = panel_outbox_give(box, hub, at + FRAME_HEAD, left, &first, &last, &binary);
+        if (size == 0) break;
+        used += set_head(at, size, first, last, binary);
+    }
+    return used;
 }

@@ -73,5 +73,8 @@ bool panel_outbox_has(const panel_outbox *box, const panel_hub *hub);
 /* The next bytes to be sent, at most `room` (more than a head); 0: none. *first, *last: of their message. */
 size_t panel_outbox_give(panel_outbox *box, const panel_hub *hub, unsigned char *bytes, size_t room,
                          bool *first, bool *last, bool *binary);
+/* The same in WebSocket frames, as many as half of `room` (at least PANEL_MESSAGE_HEAD and 100 bytes) takes:
+ * only a message longer than the rest is parted. Their bytes; 0: nothing is new. */
+size_t panel_outbox_frames(panel_outbox *box, const panel_hub *hub, unsigned char *bytes, size_t room);
 
 #endif

@@ -3,8 +3,8 @@
  * A watcher is sent what fits into its socket, a piece at a time, when libwebsockets says that it can take
  * more; so one that does not read costs a piece and its socket's buffer, and is closed after a while. All
  * that is new for a watcher goes out as one piece: with many watchers the system's calls are what costs, not
- * the bytes. libwebsockets makes a call for each message, so that messages are framed here (RFC 6455, 5.2)
- * and a piece is raw to it. */
+ * the bytes. libwebsockets makes a call for each message, so that messages are framed by the outbox and a
+ * piece is raw to it. */
 #include <libwebsockets.h>
 #include <pthread.h>
 #include <sched.h>
@@ -22,7 +22,6 @@
 
 enum {
     PIECE = 1 << 16, /* bytes */
-    FRAME_HEAD = 4,  /* at most, of payloads shorter than a piece */
     SOCKET_BUFFER = 1 << 17,
 };
 
@@ -191,41 +190,13 @@ static int send_ping(panel_server *s, connection *c)
     return lws_write(c->wsi, s->piece + LWS_PRE, 1, LWS_WRITE_PING) < 1 ? -1 : 0;
 }
 
-/* Sets the head of a frame in front of its payload, which lies FRAME_HEAD behind; the frame's size. */
-static size_t frame(unsigned char *bytes, size_t size, bool first, bool last, bool binary)
-{
-    bytes[0] = (unsigned char)((last ? 0x80 : 0) | (!first ? 0 : binary ? 2 : 1));
-    if (size < 126) {
-        bytes[1] = (unsigned char)size;
-        memmove(bytes + 2, bytes + FRAME_HEAD, size);
-        return 2 + size;
-    }
-    bytes[1] = 126;
-    bytes[2] = (unsigned char)(size >> 8);
-    bytes[3] = (unsigned char)(size & 255);
-    return FRAME_HEAD + size;
-}
-
-/* Frames until half of the piece is full: only a message that is longer than the rest is parted. */
-static size_t fill_piece(panel_server *s, connection *c)
-{
-    bool first, last, binary;
-    size_t used = 0;
-    while (used < PIECE / 2) {
-        unsigned char *at = s->piece + LWS_PRE + used;
-        const size_t size = panel_outbox_give(&c->client.box, &s->feed.hub, at + FRAME_HEAD,
-                                              PIECE - FRAME_HEAD - used, &first, &last, &binary);
-        if (size == 0) break;
-        used += frame(at, size, first, last, binary);
-    }
-    return used;
-}
-
 static int send_some(panel_server *s, connection *c)
 {
     if (c->client.why[0]) return close_now(c);
     if (send_ping(s, c) != 0) return -1;
-    const size_t size = lws_send_pipe_choked(c->wsi) ? 0 : fill_piece(s, c);
+    const size_t size = lws_send_pipe_choked(c->wsi)
+                            ? 0
+                            : panel_outbox_frames(&c->client.box, &s->feed.hub, s->piece + LWS_PRE, PIECE);
     if (size > 0) {
         if (lws_write(c->wsi, s->piece + LWS_PRE, size, LWS_WRITE_RAW) < (int)size) return -1;
         c->moved_s = terminal_now_s();

@@ -1,6 +1,6 @@
 /* What watchers are given, against what the header says, counted out by hand: the newest of a state, every
  * one of the kept events, whole messages out of pieces, answers first, and no memory for one who does not
- * read. Blind to: the sockets behind it (tests/apps/test_panel.py). */
+ * read; frames read by the letter of RFC 6455. Blind to: the sockets behind it (tests/apps/test_panel.py). */
 #include "apps/panel_hub.h"
 #include "tests/check.h"
 
@@ -151,12 +151,81 @@ static void one_who_does_not_read(void **state)
     panel_hub_free(&hub);
 }
 
+/* A frame as RFC 6455, 5.2 has it, not masked; the bytes it takes. */
+static size_t read_frame(const unsigned char *bytes, size_t size, bool *last, int *opcode, size_t *payload)
+{
+    assert_true(size >= 2);
+    assert_int_equal(bytes[0] & 0x70, 0);
+    assert_int_equal(bytes[1] & 0x80, 0);
+    *last = bytes[0] >> 7;
+    *opcode = bytes[0] & 15;
+    *payload = bytes[1];
+    if (*payload < 126) return 2;
+    assert_int_equal(*payload, 126);
+    *payload = (size_t)bytes[2] << 8 | bytes[3];
+    assert_true(*payload >= 126); /* the shortest form */
+    return 4;
+}
+
+/* Messages of all lengths about those at which the form changes, and longer than a piece and than a frame may
+ * be: put together from the frames they are what was published, whatever the piece's room. */
+static void frames(void **state)
+{
+    static const size_t room[] = {200, 1000, 1 << 16, 1 << 18},
+                        sizes[] = {0, 100, 112, 113, 114, 700, 65000, 65522, 65523, 66000, 200000};
+    enum { SIZES = sizeof sizes / sizeof *sizes };
+    static unsigned char piece[1 << 18], whole[1 << 18];
+    (void)state;
+    for (size_t r = 0; r < sizeof room / sizeof *room; r++) {
+        panel_hub hub = {0};
+        panel_outbox box = {0};
+        const int channel = panel_hub_add(&hub, SIZES);
+        assert_true(panel_subscribe(&box, &hub, 3, channel));
+        for (size_t i = 0; i < SIZES; i++) {
+            char *data = malloc(sizes[i] + 1);
+            assert_non_null(data);
+            for (size_t k = 0; k < sizes[i]; k++) data[k] = (char)(k * 7 + i);
+            assert_true(panel_hub_publish(&hub, channel, i, data, sizes[i]));
+        }
+        assert_true(panel_reply_add(&box, panel_status(PANEL_INFO, "hello")));
+        size_t messages = 0, got = 0;
+        for (size_t n; (n = panel_outbox_frames(&box, &hub, piece, room[r])) > 0;) {
+            assert_true(n <= room[r]);
+            for (size_t at = 0; at < n;) {
+                bool last;
+                int opcode;
+                size_t payload;
+                at += read_frame(piece + at, n - at, &last, &opcode, &payload);
+                assert_true(at + payload <= n && got + payload <= sizeof whole);
+                assert_int_equal(opcode, got > 0 ? 0 : messages == 0 ? 1 : 2);
+                memcpy(whole + got, piece + at, payload);
+                at += payload;
+                got += payload;
+                if (!last) continue;
+                if (messages > 0) {
+                    const size_t i = messages - 1;
+                    assert_int_equal(got, PANEL_MESSAGE_HEAD + sizes[i]);
+                    for (size_t k = 0; k < sizes[i]; k++)
+                        assert_int_equal(whole[PANEL_MESSAGE_HEAD + k], (unsigned char)(k * 7 + i));
+                }
+                messages++;
+                got = 0;
+            }
+        }
+        assert_int_equal(messages, 1 + SIZES);
+        assert_int_equal(got, 0);
+        panel_outbox_free(&box);
+        panel_hub_free(&hub);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(states_and_events),
         cmocka_unit_test(pieces_and_answers),
         cmocka_unit_test(one_who_does_not_read),
+        cmocka_unit_test(frames),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
