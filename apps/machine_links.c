@@ -209,11 +209,18 @@ static void lose_master(machine *m, double now_s)
     td_link_free(&m->pictures);
 }
 
+/* The task is done, and its session ends when the machine has stood for a moment. What comes meanwhile waits,
+ * for it is of the next task; nothing moves that an order could stop. */
+static bool is_resting(const machine *m)
+{
+    return m->in_session && m->shown == TD_PHASE_MONITORING;
+}
+
 static void hear_master(machine *m, double now_s)
 {
     td_link_frame frame;
     td_link_poll(m->master, now_s);
-    while (td_link_next(&frame, m->master)) {
+    while (!is_resting(m) && td_link_next(&frame, m->master)) {
         static td_machine_message message; /* large */
         td_error error = {0};
         if (td_machine_decode(&message, frame.kind, frame.payload, frame.size, &error) == TD_OK) {

@@ -337,6 +337,7 @@ static void end(machine *m, td_status status, const td_error *error)
     machine_look_end(m);
     aside_free(&m->check.work);
     td_task_free(&m->task);
+    td_dig_plan_free(&m->plan);
     (void)machine_truth_keep(m, "truth-after.tif", NULL);
     station_free(&m->station);
     machine_truth_free(m);
