@@ -7,7 +7,7 @@ the heartbeat (0.3 + 0.1 s) of what was done to the wire, by the machine's own r
 machine from looking, which it records too); its time and angle are
 told; motion again only after Reinit. Whoever has no token, a wrong one, another version, who comes second, says again what was
 said before, sends what is too large, malformed or too slow is refused and recorded, and the machine goes on; as it does where it
-finds no room for the process that would check a task.
+finds no room for the process that would check a task. A task that follows at once upon the last one is judged like any other.
 
 Reference: the wire format of core/link.h and core/machine_messages.h, spoken here a second time with Python's hmac. The clock
 is CLOCK_MONOTONIC, which all processes share. Tolerances: joints 0.01 rad, as the machine itself allows a master.
@@ -518,6 +518,21 @@ def try_jog(machine):
     link.farewell()
 
 
+def next_at_once(task):
+    """A task sent as soon as the last one is told to be done is not refused for coming early, but judged."""
+    machine = Machine("at-once")
+    link = new_master(machine)
+    link.send(TASK, task)
+    check(answer_of(link.expect(ANSWER, 20))[0], "at once: the first task")
+    check(link.order(EXECUTE)[0], "at once: is executed")
+    link.expect(STATE, 60, lambda state: b"executed" in state)
+    link.send(TASK, task)
+    ok, text = answer_of(link.expect(ANSWER, 20))
+    check(not ok and "which stands at" in text, f"at once: the next is looked at, and begins elsewhere: {text}")
+    link.farewell()
+    machine.end("the machine that had a task at once")
+
+
 def rates_of(state):
     """dq of a STATE of four joints."""
     at = 9
@@ -534,11 +549,14 @@ def on_this_computer():
         return
     task = first_task(machine)
     machine.end("the first machine")
+    beside = threading.Thread(target=guarded(lambda: next_at_once(task)))
+    beside.start()
     machine = Machine("loopback-2")
     link = try_tasks(machine, task)
     try_frames(machine, link, task)
     try_jog(machine)
     machine.end("the second machine")
+    beside.join()
 
 
 # ---- over a wire ----
