@@ -5,6 +5,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/machine_messages.h"
+
 /* The moves' positions are the steps of a task, whose parser is trusted with what comes from elsewhere. */
 enum { MOST_MOVES = 500 };
 
@@ -45,6 +47,10 @@ static td_status positions_text(char **text, const td_dig_plan *p, const td_task
 td_status machine_plan_text(char **text, const td_dig_plan *p, const td_task *task, td_error *error)
 {
     char *positions = NULL;
+    if (p->move_count > MOST_MOVES)
+        return td_fail(error, TD_ERROR_DATA,
+                       "the trench takes %d moves; a machine elsewhere is sent %d at most: dig it in parts",
+                       p->move_count, MOST_MOVES);
     TD_TRY(positions_text(&positions, p, task, error));
     json_t *o = json_pack("{s:o, s:[f, f, f, f, f], s:[i, i], s:o, s:s}", "floor", floor_json(&p->floor),
                           "m3", p->trench_m3, p->cut_m3, p->left_m3, p->loose_m3, p->depth_m, "counts",
@@ -52,7 +58,13 @@ td_status machine_plan_text(char **text, const td_dig_plan *p, const td_task *ta
     free(positions);
     *text = o ? json_dumps(o, JSON_COMPACT | JSON_REAL_PRECISION(17)) : NULL;
     json_decref(o);
-    return *text ? TD_OK : td_fail(error, TD_ERROR_MEMORY, "no memory for a plan");
+    if (!*text) return td_fail(error, TD_ERROR_MEMORY, "no memory for a plan");
+    if (strlen(*text) <= TD_MACHINE_MAX_TASK) return TD_OK;
+    free(*text);
+    *text = NULL;
+    return td_fail(error, TD_ERROR_DATA,
+                   "the trench's %d moves are too much for a message to a machine elsewhere: dig it in parts",
+                   p->move_count);
 }
 
 /* ---- read ---- */
