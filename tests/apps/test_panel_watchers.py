@@ -1,16 +1,16 @@
 """What two hundred clients cost teledimos panel, of whom twenty read nothing.
 
 They are those of tests/watchers.c, all channels, for a minute (TELEDIMOS_FULL: ten), in a program of its own that costs little,
-so that it is the panel that is measured. Without them (but for the one who observes) the same panel runs for a third of that
-(TELEDIMOS_FULL: as long), half before and half after. The session's thread has a real-time priority where that is permitted, as
-its manual has it; the server's never has.
+so that it is the panel that is measured. Without them (but for the one who observes) the same panel runs for a third of that, half
+before and half after. The session's thread has a real-time priority where that is permitted, as its manual has it; the server's
+never has.
 
-With a free processor: no more deadlines are missed than without clients, or than a bare clock misses beside it at the same time (a
-process of the same priority that does nothing but wait for its next period: what the machine itself misses, for a virtual one whose
-host is busy stands still now and then), within what two counts differ by luck; those who read get all
-periods' transforms, and no silence is longer than half a second and what the bare clock stood still. With none, the machine is what is
-measured: then one tick in twenty more is let pass. Always: nobody waits for those who do not read, who are put out, and nobody else is; the memory that the panel holds
-after the first third is that of the first third.
+With a free processor: no more deadlines are missed than without clients, or than a bare clock misses at the same time, within what
+two counts differ by luck. The bare clock is a process of the same priority that does nothing but wait for its next period: what it
+misses the machine itself misses, for a virtual one stands still now and then when its host is busy. Those who read get all periods'
+transforms, and no silence is longer than half a second and what the bare clock stood still. With none free, the machine is what is
+measured: then one tick in twenty more is let pass. Always: nobody waits for those who do not read, who are put out, and nobody else
+is; the memory that the panel holds after the first third is that of the first third.
 
 Reference: the panel's own count of deadlines (sim/clock, tested there), the kernel's of its memory. Bounds are stated where they
 stand. Blind to: what a client further away than this machine sees."""
