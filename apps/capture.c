@@ -644,22 +644,12 @@ static td_status show_opened(const td_image *image, const char *facts, td_error 
     return status;
 }
 
-static bool has_colour(const td_image *image)
-{
-    const size_t count = (size_t)image->width * (size_t)image->height;
-    for (size_t i = 0; i < count; i++) {
-        const uint8_t *p = image->data + 3 * i;
-        if (p[0] != p[1] || p[1] != p[2]) return true;
-    }
-    return false;
-}
-
 static td_status open_image(td_error *error)
 {
     td_image *image = NULL, *grey = NULL;
     char facts[FACTS_SIZE];
     TD_TRY(td_image_read(&image, open_path, 3, error));
-    if (!has_colour(image) && td_image_read(&grey, open_path, 1, error) == TD_OK) {
+    if (!capture_has_colour(image) && td_image_read(&grey, open_path, 1, error) == TD_OK) {
         td_image_free(&image);
         image = grey;
     }

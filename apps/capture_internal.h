@@ -22,6 +22,8 @@ typedef struct capture_measure {
     double saturated_share;  /* of the pixels: 254 or 255 in a channel */
 } capture_measure;
 capture_measure capture_measure_image(const td_image *image);
+/* Of an image of three channels: whether any pixel is not grey. */
+bool capture_has_colour(const td_image *image);
 
 /* ---- capture_dataset.c ---- */
 

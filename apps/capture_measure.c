@@ -88,3 +88,13 @@ capture_measure capture_measure_image(const td_image *image)
                              .brightness_share = (double)sum / (double)count / 255,
                              .saturated_share = (double)saturated / (double)count};
 }
+
+bool capture_has_colour(const td_image *image)
+{
+    const size_t count = (size_t)image->width * (size_t)image->height;
+    for (size_t i = 0; i < count; i++) {
+        const uint8_t *p = image->data + 3 * i;
+        if (p[0] != p[1] || p[1] != p[2]) return true;
+    }
+    return false;
+}

@@ -3,10 +3,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum {
-    FRAME_HEAD = 4,
-    MOST_PAYLOAD = 65535
-}; /* bytes: what a head with a length of 16 bits has, and tells */
+/* Bytes: what a head with a length of 16 bits has, and tells. */
+enum { FRAME_HEAD = 4, MOST_PAYLOAD = 65535 };
 
 /* ---- messages ---- */
 

@@ -323,16 +323,6 @@ td_status workbench_pixel(double pixel[2], const td_field *a, td_error *error)
     return td_field_real(&pixel[1], &y, -0.5, 65535, error);
 }
 
-static bool has_colour(const td_image *image)
-{
-    const size_t count = (size_t)image->width * (size_t)image->height;
-    for (size_t i = 0; i < count; i++) {
-        const uint8_t *p = image->data + 3 * i;
-        if (p[0] != p[1] || p[1] != p[2]) return true;
-    }
-    return false;
-}
-
 static char *base64(const uint8_t *bytes, size_t size)
 {
     static const char digit[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
@@ -380,7 +370,7 @@ td_status workbench_picture(json_t **answer, workbench *w, const td_field *a, td
             ? td_fail(error, TD_ERROR_UNSUPPORTED, "%s: %d x %d px are more than is shown here", path,
                       image->width, image->height)
             : TD_OK;
-    if (status == TD_OK && !has_colour(image)) status = td_image_read(&grey, path, 1, error);
+    if (status == TD_OK && !capture_has_colour(image)) status = td_image_read(&grey, path, 1, error);
     const td_image *shown = grey ? grey : image;
     if (status == TD_OK) status = workbench_jpeg(answer, shown, QUALITY, error);
     if (status == TD_OK) {
